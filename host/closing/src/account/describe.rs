@@ -184,6 +184,10 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>
         let expanded = d.expanded(lenses);
         let Some((name, p)) = expanded.iter().find(|(_, p)| p.is_strength()) else { continue };
         let candidate = rest.iter().find(|c| c.term.id() == d.id);
+        // Nobody measures more to learn of truths that are not there.
+        if effect.is_of_truths() && candidate.is_none() {
+            continue;
+        }
         let test = candidate.and_then(|c| c.test.as_ref());
         let first = candidate.and_then(Candidate::first);
         // 95 % of a normal variable lie below 1.645 standard deviations; an estimate with the forbidden sign counts as

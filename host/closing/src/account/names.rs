@@ -5,7 +5,7 @@ use super::verdict::{Left, claims_a_cause};
 use crate::evidence::Constancy;
 use crate::fit::repeats::is_of_noise;
 use crate::search::Found;
-use ommatidia_physics::effects::{Param, find};
+use ommatidia_physics::effects::{self as physics, Param, find};
 
 /// A name stands beside a term without a name that explains at most this share of what the effect explains.
 const HALF: f64 = 0.5;
@@ -60,9 +60,11 @@ impl Names {
     /// strength differs from frame to frame or over the sensor, and where the noise still has structure.
     pub(crate) fn of(all: Vec<Effect>, judged: Judged<'_>) -> Self {
         let found = |e: &Effect| judged.found.iter().find(|(f, _)| f.id == e.id);
-        // Darks and even light prove a table pixel by pixel, whatever is left of the scenes.
+        // Darks and even light prove a table pixel by pixel, whatever is left of the scenes. Nothing but blurred truths
+        // makes scenes sharper by more than any effect of the optics, and their blur is no Gaussian.
         let may_imitate = |e: &Effect| {
-            claims_a_cause(e, judged.recalibrated) && find(&e.id).is_none_or(|effect| effect.table().is_none())
+            let proved = |effect: &&dyn physics::Effect| effect.table().is_some() || effect.is_of_truths();
+            claims_a_cause(e, judged.recalibrated) && !find(&e.id).is_some_and(|effect| proved(&effect))
         };
         let objection = |e: &Effect| found(e).and_then(|(_, constancy)| constancy.objection(judged.psf_error));
         let uneven: Vec<&Found> = all
@@ -154,12 +156,13 @@ impl Names {
         }));
     }
 
-    /// Takes the names from all effects: the model does not describe the session, so that what was found is at most a
-    /// part of what is wrong, pixel tables of darks and flats included.
+    /// Takes the names from all effects but blurred truths: the model does not describe the session, so that what was
+    /// found is at most a part of what is wrong, pixel tables of darks and flats included.
     /// `recalibrated`: as in [`Judged::recalibrated`].
     pub(crate) fn disown(&mut self, recalibrated: bool) {
-        let (named, kept): (Vec<Effect>, _) =
-            std::mem::take(&mut self.effects).into_iter().partition(|e| claims_a_cause(e, recalibrated));
+        let of_truths = |e: &Effect| find(&e.id).is_some_and(|effect| effect.is_of_truths());
+        let disowned = |e: &Effect| claims_a_cause(e, recalibrated) && !of_truths(e);
+        let (named, kept): (Vec<Effect>, _) = std::mem::take(&mut self.effects).into_iter().partition(disowned);
         self.effects = kept;
         self.nearest.extend(named.into_iter().map(|e| Nearest {
             id: e.id,
@@ -291,6 +294,11 @@ mod tests {
         it.disown(false);
         assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("unknown_factor", "hot_pixels"));
         assert_eq!((it.effects.len(), it.nearest.len()), (1, 1));
+        // Nor are truths in doubt that are blurred so much that no model describes their scenes.
+        let (truths, much) = (found("truth_blur", 9e3), Left { judged: 0.9, even: 0.0, much: true });
+        let mut it = names(&[(&truths, none)], much, false);
+        it.disown(false);
+        assert_eq!((it.effects.len(), it.left_much), (1, false));
     }
 
     #[test]

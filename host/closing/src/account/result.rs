@@ -68,6 +68,12 @@ impl Effect {
         self.added = false;
         self.description += "; not added to the instrument, because held-out data are predicted no better with it";
     }
+
+    /// Says that the effect belongs to the truths.
+    pub(crate) fn is_of_truths(&mut self) {
+        self.added = false;
+        self.description += "; a property of the truths of this session, so that the instrument does not get it";
+    }
 }
 
 /// An effect that was not detected.

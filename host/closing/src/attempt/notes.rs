@@ -40,6 +40,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(out_notes(settled));
     notes.extend(said.names.note());
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
+    notes.extend(effects.iter().find_map(truth_note));
     notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
     notes.extend(pupil_note(instrument, effects, misjudged, model.forward.depth_error()));
@@ -86,6 +87,18 @@ fn sharper_note(found: &[Term]) -> Option<String> {
          PSFs; a bead scan of this day distinguishes them"
             .into()
     })
+}
+
+/// What to do about blurred truths.
+fn truth_note(effect: &Effect) -> Option<String> {
+    find(&effect.id).filter(|e| e.is_of_truths())?;
+    let width_px = effect.params.first()?.value.sqrt();
+    Some(format!(
+        "the scenes are sharper than their truths predict, by more than any change of the optics explains: the truths are \
+         blurred, as if by a Gaussian of {width_px:.2} px (standard deviation). What such a blur leaves hides smaller \
+         changes of the optics, and where it is much the search ends. Take truths of a better resolution, or leave \
+         `truth` out of the stack: the specimens are estimated then"
+    ))
 }
 
 /// A chi-squared that effects on the noise change by more than this is worth a word.

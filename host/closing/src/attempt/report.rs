@@ -106,6 +106,8 @@ fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
     let findings = Findings { before: &basis.before, now, own, found, tests, left };
     let mut effects = effects(basis.model, findings, given.faults);
     effects.iter_mut().filter(|e| settled.unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
+    let of_truths = |e: &&mut Effect| find(&e.id).is_some_and(|effect| effect.is_of_truths());
+    effects.iter_mut().filter(of_truths).for_each(Effect::is_of_truths);
     let found: Vec<_> = found.iter().zip(settled.constancy.iter().copied().skip(own)).collect();
     let has_row_noise = found.iter().any(|(f, _)| f.id == ROW_NOISE);
     let judged = Judged {
@@ -154,7 +156,7 @@ fn planned<'a>(basis: &'a Basis<'_>, settled: &'a Settled, closing: &Closing) ->
 
 /// The instrument with the effects of a state in place of its own.
 fn with_effects(instrument: &Instrument, model: &Model<'_>, state: &State) -> Instrument {
-    let is_on = |t: &&Term| t.id() != PUPIL_DEFOCUS || t.params.iter().any(|v| *v != 0.0);
+    let is_on = |t: &&Term| !t.effect.is_of_truths() && (t.id() != PUPIL_DEFOCUS || t.params.iter().any(|v| *v != 0.0));
     let effects = state.terms.iter().filter(is_on).map(|t| t.setting(model.lenses())).collect();
     Instrument { effects, ..instrument.clone() }
 }

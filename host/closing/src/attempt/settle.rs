@@ -70,7 +70,8 @@ pub(super) fn settle(
         false => basis.dependences_of(&search.now)?,
     };
     let mut rest = std::mem::take(&mut search.rest);
-    if structured(&dependences) && !search.needs_calibration() {
+    let ended = search.needs_calibration() || search.truths_are_too_blurred();
+    if structured(&dependences) && !ended {
         progress("terms without a name");
         search.run(Tried::Maps, progress)?;
         search.run(Tried::Curves, progress)?;
@@ -78,7 +79,7 @@ pub(super) fn settle(
     }
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();
-    if !recalibrated && structured(&dependences) {
+    if !ended && structured(&dependences) {
         imitations = without_imitations(basis, &mut search, given.exclude, progress)?;
     }
     // What stands for a new calibration is judged by what that gains, and not by its own form.

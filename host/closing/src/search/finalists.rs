@@ -77,3 +77,86 @@ pub(super) fn alike(a: &Candidate, b: &Candidate) -> bool {
     let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
     says(a, b) || says(b, a)
 }
+
+/// Blurred truths make scenes look sharper than any effect that sharpens images explains: the variances of a motion
+/// come out negative, which no motion is, and explain more than every effect. Where that is not so, blurred truths are
+/// no candidate; where it is, motion is none.
+pub(super) fn by_sharpness(candidates: &mut [Candidate]) {
+    let moves = |c: &Candidate| c.term.id() == "motion_blur";
+    let sharper = |c: &&Candidate| {
+        moves(c) && c.test.as_ref().is_some_and(|t| t.theta.len() > 1 && t.theta[..2].iter().all(|v| *v < 0.0))
+    };
+    let of_truths = |c: &Candidate| c.term.effect.is_of_truths();
+    let others = candidates.iter().filter(|c| !of_truths(c)).map(Candidate::gain).fold(0.0, f64::max);
+    let is_blurred = candidates.iter().find(sharper).is_some_and(|c| c.gain() >= others);
+    let out = |c: &&mut Candidate| if is_blurred { moves(c) } else { of_truths(c) };
+    candidates.iter_mut().filter(out).filter_map(|c| c.test.as_mut()).for_each(Test::discard);
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used)]
+mod tests {
+    use super::*;
+    use crate::evidence::Test;
+    use crate::fit::Term;
+    use ndarray::Array2;
+    use ommatidia_physics::effects::find;
+
+    /// A candidate with its evidence, the fall of chi-squared that it promises, and its strengths.
+    fn candidate(id: &str, z: f64, gain: f64, theta: &[f64]) -> Candidate {
+        let effect = find(id).unwrap();
+        let params = effect.descriptor().params.iter().map(|p| p.off).collect();
+        let n = theta.len();
+        let test = Test {
+            theta: theta.to_vec(),
+            covariance: Array2::eye(n),
+            noise: Array2::eye(n),
+            gain,
+            t: z * z + n as f64,
+            dof: n as f64,
+            nu: 20.0,
+            p: 1e-3,
+            z,
+            phi: 1.0,
+            left: 1.0,
+        };
+        let term = Term { effect, params, table: None, table_error: 0.0 };
+        Candidate { term, columns: (0..n).collect(), test: Some(test), chances: 1.0, table: None }
+    }
+
+    #[test]
+    fn what_explains_far_more_than_the_significant_ones_is_fitted_too() {
+        let all = [
+            candidate("motion_blur", 4.6, 4e4, &[1.9, 1.5, 0.3]),
+            candidate("veiling_glare", 4.4, 6e4, &[0.02]),
+            candidate("halo", 3.6, 1.1e5, &[0.1]),
+            candidate("ghost", 2.9, 2e5, &[0.1]),
+        ];
+        let able: Vec<&Candidate> = all[..2].iter().collect();
+        let id = |able: &[&Candidate]| explains_most(able, &all, |c| c.worth() > 0.0).map(|c| c.term.id());
+        assert_eq!(id(&able), Some("halo"));
+        // Where nothing is significant nothing is wrong.
+        assert_eq!(id(&[]), None);
+        // Beside what explains nearly as much its own evidence decides.
+        let strong = candidate("veiling_glare", 4.4, 1e5, &[0.02]);
+        assert_eq!(id(&[&strong]), None);
+        assert!(explains_most(&able, &all, |c| c.term.id() != "halo").is_none());
+    }
+
+    #[test]
+    fn blurred_truths_are_a_candidate_where_scenes_are_sharper_than_any_effect_makes_them() {
+        let left = |variance: f64, of_defocus: f64| {
+            let mut all = vec![
+                candidate("motion_blur", 9.0, 1e5, &[variance, variance, 0.0]),
+                candidate("truth_blur", 6.0, 9.9e4, &[-variance]),
+                candidate("defocus", 5.0, of_defocus, &[-30.0]),
+            ];
+            by_sharpness(&mut all);
+            all.iter().filter(|c| c.z() > 0.0).map(|c| c.term.id()).collect::<Vec<_>>()
+        };
+        assert_eq!(left(-0.5, 5e4), ["truth_blur", "defocus"]);
+        // Softer scenes, and a defocus that explains more.
+        assert_eq!(left(0.5, 5e4), ["motion_blur", "defocus"]);
+        assert_eq!(left(-0.5, 2e5), ["motion_blur", "defocus"]);
+    }
+}

@@ -3,7 +3,7 @@
 
 use super::candidate::{AMBIGUOUS, Alternative, Candidate, Found, Shadowed};
 use super::confirm::{Added, FullFits, Verdict, with};
-use super::finalists::{explains_most, finalists};
+use super::finalists::{by_sharpness, explains_most, finalists};
 use super::scoring::{log, score, tabled};
 use super::trials::{NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
 use crate::data::{Frame, Shown};
@@ -11,6 +11,7 @@ use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
 use crate::fit::{Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, Term, fitted_columns, refit_from};
 use ommatidia_model::forward::ForwardError;
+use ommatidia_physics::effects::find;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
 pub const ALPHA: f64 = 0.02;
@@ -33,6 +34,14 @@ const FEIGNED: f64 = 0.1;
 /// Significance of wings of the noise, standard deviations, below which larger noise is no sign of an effect that makes
 /// wings.
 const WINGS: f64 = 3.0;
+/// Excess of chi-squared over the noise on held-out data; 0 if there is none.
+fn excess(fit: &Fitted) -> f64 {
+    (fit.held_out.chi2 - fit.held_out.pixels).max(0.0)
+}
+
+/// Blurred truths that leave more than this share of the excess end a search.
+const TOO_BLURRED: f64 = 0.05;
+
 /// Share of the gain of a trial calibration that an effect must reach to be accepted instead of it.
 const ENOUGH: f64 = 0.5;
 
@@ -53,6 +62,8 @@ pub struct Search<'m, 'a> {
     pub found: Vec<Found>,
     /// Candidates of the last step that were not added, with their scores.
     pub rest: Vec<Candidate>,
+    /// Excess of chi-squared over the noise on held-out data before the search.
+    first_excess: f64,
     /// The largest fall of the training deviance by an effect so far; 0 without one.
     strongest_fall: f64,
     /// Effects that would improve the fit, by less than what the law of a stronger effect may leave.
@@ -69,6 +80,7 @@ impl<'m, 'a> Search<'m, 'a> {
         Self {
             model,
             replicas,
+            first_excess: excess(&now),
             now,
             found: Vec::new(),
             rest: Vec::new(),
@@ -89,7 +101,7 @@ impl<'m, 'a> Search<'m, 'a> {
         loop {
             let candidates = self.candidates(tried)?;
             let added = self.step(tried, &candidates, &mut refused, progress)?;
-            if !added || self.needs_calibration() {
+            if !added || self.needs_calibration() || self.truths_are_too_blurred() {
                 self.rest = candidates;
                 return Ok(());
             }
@@ -114,6 +126,7 @@ impl<'m, 'a> Search<'m, 'a> {
                 is_laplacian(&c.term) && c.test.as_ref().is_some_and(|t| t.theta.first().is_some_and(|a| *a > 0.0))
             };
             candidates.iter_mut().filter(blurs).filter_map(|c| c.test.as_mut()).for_each(Test::discard);
+            by_sharpness(&mut candidates);
         }
         candidates.extend(tabled(self.model, &self.now, tried).into_iter().filter(|c| !excluded(c.term.id())));
         candidates.sort_by(|a, b| b.worth().total_cmp(&a.worth()));
@@ -176,7 +189,7 @@ impl<'m, 'a> Search<'m, 'a> {
                 Verdict::Added(it)
                     if tried != Tried::Catalogue
                         && it.candidate.term.id().starts_with("unknown")
-                        && it.gain < PART * self.excess() =>
+                        && it.gain < PART * excess(&self.now) =>
                 {
                     refused.ids.push(it.candidate.term.id());
                 }
@@ -225,10 +238,11 @@ impl<'m, 'a> Search<'m, 'a> {
         self.found.iter().map(|f| f.held_out_gain).fold(0.0, f64::max)
     }
 
-    /// Excess of chi-squared over the noise on held-out data; 0 if there is none.
-    fn excess(&self) -> f64 {
-        let held_out = self.now.held_out;
-        (held_out.chi2 - held_out.pixels).max(0.0)
+    /// Whether blurred truths leave so much that nothing smaller can be found beside it: no blur is exactly a Gaussian,
+    /// and what was lost of the finest details comes back with the errors of the model.
+    pub fn truths_are_too_blurred(&self) -> bool {
+        let blurred = self.found.iter().any(|f| find(f.id).is_some_and(|e| e.is_of_truths()));
+        blurred && excess(&self.now) > TOO_BLURRED * self.first_excess
     }
 
     /// Whether the next step must be a new calibration, not another effect.

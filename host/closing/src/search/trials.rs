@@ -1,5 +1,6 @@
 //! The trial terms of the search: effects of the catalogue at their starting values, and terms without a name.
 
+use crate::data::Shown;
 use crate::fit::{Fitted, Model, State, Term};
 use ommatidia_physics::effects::{
     Effect, Evidence, EvidenceFrame, KNOTS, Kind, OPERATORS, Stage, WEIGHTS, find, periods, registry,
@@ -40,7 +41,8 @@ fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<T
         let d = effect.descriptor();
         let taken = state.terms.iter().any(|t| t.id() == d.id);
         let skip = d.stage == Stage::Record || effect.table().is_some() || d.id.starts_with("unknown");
-        if taken || skip || model.is_blind() && !effect.is_of_the_grid() {
+        let no_truths = effect.is_of_truths() && !truths_alone(model, state);
+        if taken || skip || no_truths || model.is_blind() && !effect.is_of_the_grid() {
             continue;
         }
         let mut starts = effect.guess(evidence);
@@ -60,13 +62,26 @@ const DISPLACE: [&str; 5] = ["array_shift", "stage_scale", "magnification", "arr
 /// often interpolated, or taken by a camera of less resolution. Scenes are sharper than such truths predict, which is no sign of the optics. It
 /// stands beside the effects of the catalogue, so that one that sharpens images is named only if it explains more.
 fn blurred_truths(model: &Model<'_>, state: &State) -> Option<Term> {
-    let stated = model.seen.registrations.iter().any(|g| g.sigma_px > 0.0);
-    let displaced = stated || state.terms.iter().any(|t| DISPLACE.contains(&t.id()));
-    if !displaced || !model.sees_known_light() || state.terms.iter().any(is_laplacian) {
+    if !displaced(model, state) || !model.sees_known_light() || state.terms.iter().any(is_laplacian) {
         return None;
     }
     let params = vec![0.0, LAPLACIAN, 0.0];
     Some(Term { effect: find("unknown_operator")?, params, table: None, table_error: 0.0 })
+}
+
+/// Whether images are displaced as misplaced truths displace them, or the session states that its truths may be.
+fn displaced(model: &Model<'_>, state: &State) -> bool {
+    let stated = model.seen.registrations.iter().any(|g| g.sigma_px > 0.0);
+    stated || state.terms.iter().any(|t| DISPLACE.contains(&t.id()))
+}
+
+/// Whether all scenes show known specimens, and nothing displaces their images as misplaced truths do, which have a
+/// Laplacian of their own.
+fn truths_alone(model: &Model<'_>, state: &State) -> bool {
+    let mut scenes = model.seen.of(Role::Scene).peekable();
+    !displaced(model, state)
+        && scenes.peek().is_some()
+        && scenes.all(|k| matches!(model.seen.frames[k].shown, Shown::Object(_)))
 }
 
 /// Index of the Laplacian among [`OPERATORS`].

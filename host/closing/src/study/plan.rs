@@ -95,11 +95,12 @@ const DOWNSTREAM_SIGMAS: f64 = 100.0;
 /// Factor by which the stated gain is wrong.
 const WRONG_GAIN: f64 = 1.05;
 
-/// Ids of the effects that a study injects: all of the catalogue except faults of records and unknown patterns.
+/// Ids of the effects that a study injects: all of the catalogue except faults of records and of truths, and unknown
+/// patterns.
 pub fn catalogue() -> Vec<&'static str> {
     let named = |e: &&&'static dyn Effect| {
         let d = e.descriptor();
-        d.stage != Stage::Record && !d.id.starts_with("unknown")
+        d.stage != Stage::Record && !e.is_of_truths() && !d.id.starts_with("unknown")
     };
     registry().iter().filter(named).map(|e| e.descriptor().id).collect()
 }

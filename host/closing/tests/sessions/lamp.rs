@@ -1,4 +1,4 @@
-//! Sessions whose flats are uneven, and whose truths have a unit of their own.
+//! Sessions whose flats are uneven.
 
 use super::{closed, measured, names, subject};
 use ommatidia_closing::study::sessions::Holds;
@@ -47,20 +47,4 @@ fn an_uneven_lamp_is_no_vignetting_and_hides_no_effect() {
     assert_eq!(names(&shaded), ["vignetting"]);
     let v = &shaded.effects[0].params[0];
     assert!((v.value - 0.05).abs() < 5.0 * v.sigma, "{v:?}");
-}
-
-#[test]
-fn truths_may_have_any_unit_of_light() {
-    let folder = tempfile::tempdir().unwrap();
-    let dir = folder.path().join("session");
-    let session = measured(Holds::Whole, &[], &dir, 62);
-    let before = closed(&session);
-    let file = dir.join("scene_truth.npy");
-    let truths = stack::read(&file).unwrap();
-    for unit in [300.0, 1.0 / 300.0] {
-        stack::write(&file, (&truths * unit as f32).view()).unwrap();
-        let after = closed(&session);
-        assert!(after.effects.is_empty());
-        assert!((after.before.chi2_ndf - before.before.chi2_ndf).abs() < 1e-3, "{unit}: {:?}", after.before);
-    }
 }

@@ -5,6 +5,7 @@
 mod kinds;
 mod lamp;
 mod registration;
+mod truths;
 
 use ommatidia_bench::{ArrayConfig, BenchConfig, ScanConfig, VirtualInstrument};
 use ommatidia_closing::study::sessions::Holds;

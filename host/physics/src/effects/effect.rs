@@ -76,6 +76,10 @@ pub trait Effect: Send + Sync {
     fn is_of_bead_scans(&self) -> bool {
         false
     }
+    /// Whether the effect is one of the truths of a session: no instrument has it.
+    fn is_of_truths(&self) -> bool {
+        false
+    }
     /// Whether the effect changes only the noise, never the expected frame.
     fn noise_only(&self) -> bool {
         false

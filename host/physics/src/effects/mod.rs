@@ -93,6 +93,7 @@ mod table;
 mod telegraph_pixels;
 mod thermal_drift;
 mod tilt;
+mod truth_blur;
 mod unknown_blur;
 mod unknown_dark;
 mod unknown_light;

@@ -54,6 +54,7 @@ use super::stage_scale::StageScale;
 use super::telegraph_pixels::TelegraphPixels;
 use super::thermal_drift::ThermalDrift;
 use super::tilt::Tilt;
+use super::truth_blur::TruthBlur;
 use super::unknown_blur::UnknownBlur;
 use super::unknown_dark::UnknownDark;
 use super::unknown_light::UnknownLight;
@@ -125,6 +126,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &RowNoise,
     &TelegraphPixels,
     &NoiseScale,
+    &TruthBlur,
     &MetadataFault,
     &UnknownOperator,
     &UnknownProfile,

@@ -174,6 +174,12 @@ fn worked_examples_of_images_beside_and_across() {
     assert!((40.0..80.0).contains(&moment(&|r, c| r * c)), "{}", moment(&|r, c| r * c));
     let bead = FrameContext { role: Role::Bead, ..cx };
     assert_eq!(lit("motion_blur", &[("var_row_px2", 0.2)], &spot, &bead), spot);
+    // Light without the blur of the truths, blurred as much, is the light of the truths.
+    let even = lit("motion_blur", &[("var_row_px2", 1.0), ("var_col_px2", 1.0)], &spot, &cx);
+    let blurred = lit("motion_blur", &[("var_row_px2", 0.5), ("var_col_px2", 0.5)], &even, &cx);
+    let sharp = lit("truth_blur", &[("var_px2", 0.5)], &blurred, &cx);
+    assert!((&sharp - &even).iter().all(|v| v.abs() < 1e-3), "{sharp}");
+    assert_eq!(lit("truth_blur", &[("var_px2", 0.5)], &spot, &bead), spot);
     let ranked = lit("rank_truncation", &[("terms", 0.4)], &spot, &cx);
     assert!((ranked.sum() - 1000.0).abs() < 1e-2 && ranked[[2, 4]] < 1000.0 && ranked[[2, 5]] > 0.0);
     // Squares: 1e6 / 1e4 x 0.02 / 2 to each neighbour.
@@ -189,6 +195,7 @@ fn weak_effects_leave_light_below_zero_as_it_is() {
     let below = image().mapv(|v| v - 12.0);
     for (id, params) in [
         ("motion_blur", vec![("var_row_px2", 1e-6), ("cov_px2", 1e-6)]),
+        ("truth_blur", vec![("var_px2", 1e-6)]),
         ("rank_truncation", vec![("terms", 1e-6)]),
         ("unknown_operator", vec![("amplitude", 1e-6), ("operator", 3.0)]),
         (
