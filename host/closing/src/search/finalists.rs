@@ -1,6 +1,7 @@
-//! Which candidates are fitted in full.
+//! Which candidates are considered, and which are fitted in full.
 
 use super::candidate::{AMBIGUOUS, Candidate};
+use crate::evidence::Test;
 use crate::fit::repeats::noisy;
 
 /// Number of the best candidates that are fitted in full.
@@ -97,7 +98,6 @@ pub(super) fn by_sharpness(candidates: &mut [Candidate]) {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::evidence::Test;
     use crate::fit::Term;
     use ndarray::Array2;
     use ommatidia_physics::effects::find;

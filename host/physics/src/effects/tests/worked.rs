@@ -178,7 +178,9 @@ fn worked_examples_of_images_beside_and_across() {
     let even = lit("motion_blur", &[("var_row_px2", 1.0), ("var_col_px2", 1.0)], &spot, &cx);
     let blurred = lit("motion_blur", &[("var_row_px2", 0.5), ("var_col_px2", 0.5)], &even, &cx);
     let sharp = lit("truth_blur", &[("var_px2", 0.5)], &blurred, &cx);
-    assert!((&sharp - &even).iter().all(|v| v.abs() < 1e-3), "{sharp}");
+    let most = even.iter().fold(0.0f32, |m, v| m.max(*v));
+    assert!((&sharp - &even).iter().all(|v| v.abs() < 1e-3 * most), "{}", &sharp - &even);
+    assert!((&blurred - &even).iter().any(|v| v.abs() > 0.1 * most));
     assert_eq!(lit("truth_blur", &[("var_px2", 0.5)], &spot, &bead), spot);
     let ranked = lit("rank_truncation", &[("terms", 0.4)], &spot, &cx);
     assert!((ranked.sum() - 1000.0).abs() < 1e-2 && ranked[[2, 4]] < 1000.0 && ranked[[2, 5]] > 0.0);
@@ -229,7 +231,8 @@ fn maps_of_scenes_leave_flats_as_they_are() {
     // 10 ms; light is never negative.
     assert_eq!(frame("unknown_shading", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     // A dark signal is there without light as well.
-    [&scene, &flat].map(|cx| assert_eq!(frame("unknown_dark", cx), ndarray::arr2(&[[15.0, -10.0]])));
+    let dark = [&scene, &flat].map(|cx| frame("unknown_dark", cx));
+    assert!(dark.iter().all(|image| *image == ndarray::arr2(&[[15.0, -10.0]])));
     assert_eq!(frame("unknown_light", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     assert_eq!(frame("unknown_stray", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     assert_eq!(frame("unknown_offset", &scene), ndarray::arr2(&[[10.5, 8.0]]));
