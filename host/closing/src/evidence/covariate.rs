@@ -96,7 +96,7 @@ impl Covariate {
             Self::Neighbours => "residual of neighbouring pixels",
             Self::NextFrame => "residual of the next frame",
             Self::Repeats => "noise of repeated frames: variance, neighbours, tails, rows, columns",
-            Self::FixedPattern => "the same pixel in other flats and darks",
+            Self::FixedPattern => "value of the same pixel in other flats and darks",
         }
     }
 

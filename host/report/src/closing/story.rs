@@ -3,6 +3,7 @@
 use super::{Asked, words};
 use maud::{Markup, html};
 use ommatidia_closing::{Closing, Dependence, Effect, JudgedOn, Value};
+use ommatidia_physics::effects::find;
 
 /// Effects that explain less than this share of the excess are named without details.
 const MAIN: f64 = 0.05;
@@ -92,10 +93,10 @@ fn found(c: &Closing) -> Markup {
 fn nearest(c: &Closing) -> Markup {
     html! {
         @if !c.nearest.is_empty() {
-            @let names: Vec<String> = c.nearest.iter().map(|n| words::name(&n.id)).collect();
-            b { "Not shown as a cause: " } (words::list(&names, "and"))
-            @for (i, n) in c.nearest.iter().enumerate() {
-                @if i == 0 || c.nearest[i - 1].why != n.why { @if i == 0 { ": " } @else { "; " } (n.why) }
+            b { "Not shown as a cause: " }
+            @for (i, same) in c.nearest.chunk_by(|a, b| a.why == b.why).enumerate() {
+                @let names: Vec<String> = same.iter().map(|n| words::name(&n.id)).collect();
+                @if i > 0 { "; " } (words::list(&names, "and")) ": " (same[0].why)
             }
             ". "
         }
@@ -106,7 +107,8 @@ fn nearest(c: &Closing) -> Markup {
 fn sentence(e: &Effect, i: usize) -> Markup {
     let others: Vec<String> = e.ambiguity.iter().map(|id| words::name(id)).collect();
     html! {
-        @if i == 0 { "The model lacked " } @else { "It also lacked " }
+        @if find(&e.id).is_some_and(|effect| effect.is_of_truths()) { "The truths of the session are blurred: " }
+        @else if i == 0 { "The model lacked " } @else { "It also lacked " }
         b { (title(e)) }
         @if let Some(v) = leading(e) { ", " (v) }
         " (" (words::sigma(e.z))
@@ -149,7 +151,7 @@ fn leading(e: &Effect) -> Option<String> {
 
 /// Whether the closed instrument predicts held-out data visibly better.
 fn is_better(c: &Closing) -> bool {
-    c.after.chi2_ndf < (1.0 - VISIBLE) * c.before.chi2_ndf
+    c.effects.iter().any(|e| e.added) && c.after.chi2_ndf < (1.0 - VISIBLE) * c.before.chi2_ndf
 }
 
 fn rest(c: &Closing, asked: Asked) -> Markup {
