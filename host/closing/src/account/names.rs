@@ -203,7 +203,11 @@ fn whole_share(effect: &Effect) -> Option<String> {
 /// Says which strengths of named effects stopped at the end of the range that is searched.
 pub(crate) fn end_notes(effects: &[Effect]) -> Vec<String> {
     let of = |e: &Effect| {
-        let all: Vec<String> = ends(e).map(|(v, p)| format!("{} = {:.4} {}", v.name, v.value, p.unit)).collect();
+        let one = |(v, p): (&Value, &Param)| match p.unit {
+            "1" => format!("{} = {}", v.name, v.value),
+            unit => format!("{} = {} {unit}", v.name, v.value),
+        };
+        let all: Vec<String> = ends(e).map(one).collect();
         (!all.is_empty()).then(|| {
             format!(
                 "`{}`: {} is the end of the range that is searched. The true value may lie beyond it, and its error says \

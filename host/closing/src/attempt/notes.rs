@@ -39,10 +39,10 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     let mut notes = bright_darks(seen, model.forward.noise());
     notes.extend(out_notes(settled));
     notes.extend(said.names.note());
-    let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
     notes.extend(effects.iter().find_map(truth_note));
     notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
+    let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
     notes.extend(pupil_note(instrument, effects, misjudged, model.forward.depth_error()));
     // Without a bead scan there are no replicates to be had.
     if instrument.replicates.is_empty() && !instrument.sensor_only() && seen.of(Role::Scene).next().is_some() {

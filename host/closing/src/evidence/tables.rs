@@ -300,8 +300,8 @@ fn is_white(a: &Half, b: &Half) -> bool {
 }
 
 /// What noise that the pixels of a row share, and of a column, adds to the variance of `sum a b`: for `lines` lines of n
-/// pixels, which share the variance s^2 of each half, `lines n^2 s^4`. s^2 is what the means of the lines of `a - b` scatter
-/// more than those of single pixels do; the pattern itself is in both halves alike.
+/// pixels, which share the variance s^2 of each half, `lines n^2 s^4`. s^2 is what the means of the lines of `a - b`
+/// scatter more than those of single pixels do; the pattern itself is in both halves alike.
 fn by_lines(a: &Half, b: &Half) -> f64 {
     let differ = &a.value - &b.value;
     let of_noise = Zip::from(&a.weight)

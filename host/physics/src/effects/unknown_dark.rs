@@ -1,6 +1,6 @@
 //! Unnamed dark signal: electrons that each pixel collects without light, from a map that is fixed to the sensor and
 //! that neither single hot pixels nor independent offsets explain. The glow of a readout amplifier in one corner is the
-//! most frequent cause. `close` measures it on darks and flats.
+//! most frequent cause. `close` measures it on darks.
 //!
 //! `mu -> mu + u(pixel) t` with the exposure t. Injected tables u are normal numbers blurred by [`GRAIN_PX`].
 

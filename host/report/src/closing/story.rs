@@ -175,7 +175,8 @@ fn rest(c: &Closing, asked: Asked) -> Markup {
             (true, Some(d)) => {
                 b { "The remaining residual is not noise: " }
                 "it still depends on the " (d.covariate.words()) " (" (words::evidence(d))
-                "), and no effect of the catalogue explains that." @if is_better(c) { " The closed model is better but not complete." }
+                "), and no effect of the catalogue explains that."
+                @if is_better(c) { " The closed model is better but not complete." }
             }
             (true, None) => {
                 b { "The catalogue is incomplete: " } "part of the residual is described by a term without a name, \

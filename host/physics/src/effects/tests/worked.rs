@@ -174,7 +174,7 @@ fn worked_examples_of_images_beside_and_across() {
     assert!((40.0..80.0).contains(&moment(&|r, c| r * c)), "{}", moment(&|r, c| r * c));
     let bead = FrameContext { role: Role::Bead, ..cx };
     assert_eq!(lit("motion_blur", &[("var_row_px2", 0.2)], &spot, &bead), spot);
-    // Light without the blur of the truths, blurred as much, is the light of the truths.
+    // What is blurred, and freed of as much blur, is as it was.
     let even = lit("motion_blur", &[("var_row_px2", 1.0), ("var_col_px2", 1.0)], &spot, &cx);
     let blurred = lit("motion_blur", &[("var_row_px2", 0.5), ("var_col_px2", 0.5)], &even, &cx);
     let sharp = lit("truth_blur", &[("var_px2", 0.5)], &blurred, &cx);
