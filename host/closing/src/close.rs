@@ -4,7 +4,7 @@ use super::account::{
     Account, Closed, Closing, Verdict, calibration_note, fault, pictured, quiet, registration_notes, registrations,
     within_calibration,
 };
-use super::attempt::{Given, OWN_BEADS_NOTE, attempt, held_out_blocks, held_out_frames, own_beads};
+use super::attempt::{Attempt, Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
@@ -69,7 +69,7 @@ fn attempts(
         // A curve over time would take a wrong exposure for its own.
         exclude.push("unknown_profile".into());
     }
-    let first = attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, &mut progress)?;
+    let first = tried(instrument, seen, options, (&exclude, &mut faults), &mut progress)?;
     if doubted.is_empty() || first.explains_all() {
         return Ok(first.closed);
     }
@@ -80,7 +80,31 @@ fn attempts(
     }
     exposures::correct_exposures(seen, &wrong);
     faults.extend(wrong);
-    Ok(attempt(instrument, seen, options, Given { exclude: options.exclude, faults: &faults }, &mut progress)?.closed)
+    Ok(tried(instrument, seen, options, (options.exclude, &mut faults), &mut progress)?.closed)
+}
+
+/// An attempt. Where the truths are misplaced, though the views agree without them, they are left out, and the session
+/// is judged as it is: a search would find what they would show better once they are corrected.
+fn tried(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    options: &CloseOptions<'_>,
+    (exclude, faults): (&[String], &mut Vec<Fault>),
+    progress: &mut impl FnMut(&str),
+) -> Result<Attempt, CloseError> {
+    let mut judge_only = false;
+    loop {
+        match attempt(instrument, seen, options, Given { exclude, faults, judge_only }, progress)? {
+            Outcome::Ended(it) => return Ok(*it),
+            // It ends: truths that were left out are not misplaced.
+            Outcome::Misplaced(fault) => {
+                seen.forget_truths();
+                estimate_specimens(instrument, seen);
+                faults.push(fault);
+                judge_only = true;
+            }
+        }
+    }
 }
 
 /// Measures the residual of a session and tests it, without a search for effects: the account has the same figures

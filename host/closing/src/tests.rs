@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::data::{Frame, Observations, Shown};
+use super::evidence::maps::Beside;
 use super::evidence::{Figures, Scores, figures, is_worse, maps};
 use super::fit::{
     Column, Design, Errors, Expansion, Fitted, Model, Predicted, Scope, Term, fitted_columns, nuisances, refit,
@@ -172,10 +173,10 @@ fn a_shadow_that_scenes_alone_show_is_mapped_and_noise_is_not() {
         let model = Model::new(&instrument, &seen).unwrap();
         let fit = refit(&model, model.state(&instrument).unwrap()).unwrap();
         let light = fit.predicted.iter().fold(Array2::<f32>::zeros((SENSOR[0], SENSOR[1])), |sum, p| sum + &p.light_e);
-        (maps::fit(&model, &fit.state, &fit.predicted), light)
+        (maps::fit(&model, Beside::of(&fit)), light)
     };
-    // Four maps are tried.
-    assert!(fits(&[]).0.iter().all(|f| f.p > 0.01 / 4.0), "a map of noise");
+    // Five maps are tried.
+    assert!(fits(&[]).0.iter().all(|f| f.p > 0.01 / 5.0), "a map of noise");
     let (found, light) = fits(&[shadow()]);
     let shading = found.iter().find(|f| f.term.id() == "unknown_shading").expect("the shadow");
     assert!(shading.p < 1e-3 && shading.gain > 100.0, "z {}, gain {}", shading.z, shading.gain);
@@ -206,6 +207,24 @@ fn a_cause_outside_the_catalogue_is_given_no_name_and_its_excess_is_removed() {
     let closed = super::close(&instrument, &mut seen, &super::CloseOptions::default(), |_| ()).unwrap();
     let ids: Vec<String> = closed.account.closing.effects.iter().map(|e| e.id.clone()).collect();
     assert_eq!(ids, ["array_shift"]);
+}
+
+#[test]
+fn a_shade_of_one_view_alone_is_mapped_for_its_lens() {
+    let instrument = instrument([20, 22], SENSOR, 9, 2);
+    let deep = |(r, c): (usize, usize)| -0.5 * (-((r as f32 - 20.0).powi(2) + (c as f32 - 30.0).powi(2)) / 90.0).exp();
+    let table = Some(Array2::from_shape_fn((SENSOR[0], SENSOR[1]), deep));
+    let shade = Term { table, ..term("unknown_view", &[("lens", 1.0)], 2) };
+    let seen = observations(&instrument, &[shade]);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let fit = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let found = maps::fit(&model, Beside::of(&fit)).into_iter().find(|f| f.term.id() == "unknown_view").unwrap();
+    assert!(found.term.params[1] == 1.0 && found.p < 1e-3 && found.gain > 100.0, "{:?}, {}", found.term, found.gain);
+    // With the map in the model little is left.
+    let mut state = fit.state.clone();
+    state.terms.push(found.term);
+    let [before, after] = [&fit, &refit(&model, state).unwrap()].map(|f| f.held_out.chi2 / f.held_out.pixels - 1.0);
+    assert!(after < 0.3 * before, "{before} {after}");
 }
 
 #[test]

@@ -269,7 +269,15 @@ mod tests {
     }
 
     fn found(id: &'static str, held_out_gain: f64) -> Found {
-        Found { id, z: 9.0, held_out_gain, of_even_light: 0.0, ambiguity: Vec::new(), table_sigma: None }
+        Found {
+            id,
+            z: 9.0,
+            held_out_gain,
+            of_even_light: 0.0,
+            proved_by_even_light: false,
+            ambiguity: Vec::new(),
+            table_sigma: None,
+        }
     }
 
     fn names(of: &[(&Found, Constancy)], left: Left, noise_is_left: bool) -> Names {

@@ -118,11 +118,13 @@ impl Left {
 
     /// Whether the effect explains enough for its name to stand as a cause: nearly all, or a large part of it with a
     /// strength that is shown to be the same everywhere. A calibration that errs leaves structure beside a true effect
-    /// too, but not more than calibrations err by.
+    /// too, but not more than calibrations err by. What flats and darks prove, with one strength, needs no more: what
+    /// is left of them may be the error of the gain, which a bent response itself makes.
     pub(crate) fn earns(self, effect: &Found, constancy: Constancy) -> bool {
         let left = self.of(effect);
         let much = self.much && effect.of_even_light <= 0.5;
-        left <= LEFT || !much && left <= LEFT_OF_CONSTANT && constancy.is_shown()
+        let proved = effect.proved_by_even_light && constancy.is_even();
+        left <= LEFT || proved || !much && left <= LEFT_OF_CONSTANT && constancy.is_shown()
     }
 }
 
@@ -271,6 +273,7 @@ mod tests {
             z: 9.0,
             held_out_gain: 1e3,
             of_even_light,
+            proved_by_even_light: false,
             ambiguity: Vec::new(),
             table_sigma: None,
         };
@@ -283,6 +286,9 @@ mod tests {
         assert!(of_constant(0.5, false) && !of_constant(0.7, false));
         // Errors of a calibration do not reach that far.
         assert!(!of_constant(0.5, true) && of_constant(0.04, true));
+        let proved = Found { proved_by_even_light: true, ..found(0.9) };
+        let all_left = Left { judged: 1.0, even: 1.0, much: true };
+        assert!(all_left.earns(&proved, constant) && !all_left.earns(&proved, Constancy::default()));
         let of = |left| Excess { left, per_pixel: 1.0 };
         let verdicts = [of(0.0).verdict(false), of(0.9).verdict(false), of(0.1).verdict(true), of(0.9).verdict(true)];
         let incomplete = Verdict::Incomplete;

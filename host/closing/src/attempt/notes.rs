@@ -40,6 +40,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(out_notes(settled));
     notes.extend(said.names.note());
     notes.extend(effects.iter().find_map(truth_note));
+    notes.extend(settled.views_chi2.filter(|_| verdict != Verdict::Adequate).map(views_note));
     notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
@@ -87,6 +88,17 @@ fn sharper_note(found: &[Term]) -> Option<String> {
          PSFs; a bead scan of this day distinguishes them"
             .into()
     })
+}
+
+/// What agrees where the truths do not.
+fn views_note(chi2: f64) -> String {
+    format!(
+        "the frames contradict their truths, and not the optics: with specimens that are estimated from the frames, the \
+         views behind the lenses agree with one another under the instrument as it was calibrated (chi-squared per \
+         pixel {chi2:.3}). Either the truths are wrong (their resolution, their light, a specimen that has changed \
+         since), or something acts on all views alike, such as light or blur that belongs to the specimen. Without \
+         `truth` in the stack, the rest of the optics is tested all the same"
+    )
 }
 
 /// What to do about blurred truths.

@@ -1,8 +1,9 @@
 //! Searches for what a model lacks, and keeps what is earned.
 
 use super::basis::{Basis, Given};
-use crate::data::Observations;
-use crate::evidence::{Constancy, Dependence, Test, structured};
+use super::views::Views;
+use crate::data::{Fault, Observations};
+use crate::evidence::{Constancy, Dependence, Test, figures, structured};
 use crate::fit::{Fitted, Model, Term, refit};
 use crate::options::{CloseError, CloseOptions};
 use crate::search::{
@@ -34,6 +35,9 @@ pub(super) struct Settled {
     pub lost: Vec<&'static str>,
     /// Whether the PSFs are calibrated again, and an entry stands for that.
     pub recalibrated: bool,
+    /// chi-squared per pixel of the views with specimens that are estimated from the frames, where they agree with one
+    /// another and not with the truths.
+    pub views_chi2: Option<f64>,
     /// What was added once, and is out.
     pub out: Out,
 }
@@ -50,13 +54,20 @@ pub(super) struct Out {
     pub shadowed: Vec<Shadowed>,
 }
 
+/// How a search ends.
+pub(super) enum End {
+    Settled(Box<Settled>),
+    /// The truths are misplaced: what was found beside them says nothing.
+    Misplaced(Fault),
+}
+
 /// Searches, takes out what only imitates a cause, removes what is not needed, and takes back what does harm.
 pub(super) fn settle(
     basis: &Basis<'_>,
     options: &CloseOptions<'_>,
     given: Given<'_>,
     progress: &mut impl FnMut(&str),
-) -> Result<Settled, CloseError> {
+) -> Result<End, CloseError> {
     let (model, replicas, own) = (basis.model, &basis.replicas, basis.own);
     progress("catalogue");
     let mut search = Search::new(model, replicas, basis.before.clone());
@@ -64,13 +75,30 @@ pub(super) fn settle(
     let lost = lost(model, &basis.before)?;
     search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, model.seen)).transpose()?;
-    search.run(Tried::Catalogue, progress)?;
+    match given.judge_only {
+        true => search.look(Tried::Catalogue)?,
+        false => search.run(Tried::Catalogue, progress)?,
+    }
     let mut dependences = match search.found.is_empty() {
         true => basis.dependences.clone(),
         false => basis.dependences_of(&search.now)?,
     };
     let mut rest = std::mem::take(&mut search.rest);
-    let ended = search.needs_calibration() || search.truths_are_too_blurred();
+    let ended = given.judge_only || search.needs_calibration() || search.truths_are_too_blurred();
+    let mut views = None;
+    if structured(&dependences)
+        && !given.judge_only
+        && !search.needs_calibration()
+        && basis.excess(&search.now).is_much()
+    {
+        progress("views without truths");
+        let known = figures(model, &basis.before).chi2_ndf;
+        views = Views::of(basis.instrument, model.seen)?;
+        if let Some(fault) = views.as_ref().and_then(|v| v.misplaced(v.agree(known))) {
+            return Ok(End::Misplaced(fault));
+        }
+        views = views.filter(|v| v.agree(known));
+    }
     if structured(&dependences) && !ended {
         progress("terms without a name");
         search.run(Tried::Maps, progress)?;
@@ -112,7 +140,22 @@ pub(super) fn settle(
         rest.extend(score(model, &now, &replicas.of(model, &now)?, &absent)?);
     }
     drop(terms);
-    Ok(Settled { now, closed, found, tests, constancy, unseen, dependences, rest, lost, recalibrated, out })
+    let views_chi2 = views.map(|v| v.chi2());
+    let settled = Settled {
+        now,
+        closed,
+        found,
+        tests,
+        constancy,
+        unseen,
+        dependences,
+        rest,
+        lost,
+        recalibrated,
+        views_chi2,
+        out,
+    };
+    Ok(End::Settled(Box::new(settled)))
 }
 
 impl Out {

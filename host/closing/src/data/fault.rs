@@ -58,7 +58,33 @@ pub enum FaultKind {
         /// True exposure over the recorded one.
         factor: f64,
     },
+    /// The truths of all scenes lie beside the specimens that the frames show, all in the same way. They are left out.
+    /// The fault has the number of the first of these scenes.
+    Misplaced {
+        /// Shift of the specimens from their truths along rows, object pixels.
+        row_px: f64,
+        /// The same along columns.
+        col_px: f64,
+        /// Turn, mrad: a point at (row, col) from the centre moves by so much times (col, -row).
+        turn_mrad: f64,
+        /// Size of the specimens relative to that of their truths, less one.
+        scale: f64,
+        /// Displacement of a corner of the field by turn and scale, object pixels.
+        corner_px: f64,
+    },
+    /// The same for truths that each lie elsewhere.
+    MisplacedOneByOne {
+        /// Displacement of the truths from their mean place, root mean square, object pixels.
+        rms_px: f64,
+    },
 }
+
+/// What follows from misplaced truths.
+const LEFT_OUT: &str = "With specimens that are estimated from the frames, the views behind the lenses agree with one \
+                        another, so it is no change of the optics. The truths were left out, and no effect was searched \
+                        for. Correct them and close again, or leave `truth` out of the stack; where nothing but their \
+                        place is wrong, `truth_registration_px` and `truth_registration_per_frame` state how well they \
+                        are placed";
 
 impl FaultKind {
     /// How an image is turned or mirrored; empty for faults of another kind.
@@ -105,6 +131,26 @@ impl Fault {
             FaultKind::Exposure { factor } => {
                 format!("scene frame {} received {factor:.4} times the recorded exposure", self.frame)
             }
+            FaultKind::Misplaced { row_px, col_px, turn_mrad, scale, corner_px } => {
+                let percent = 100.0 * (1.0 / (1.0 + scale) - 1.0);
+                format!(
+                    "the truths do not lie where the frames show the specimens: they are {:.2} % too {}, turned by \
+                     {:.1} mrad and displaced by ({:.2}, {:.2}) object pixels (row, col), a corner of the field by \
+                     {corner_px:.2} object pixels. {LEFT_OUT}",
+                    percent.abs(),
+                    if percent < 0.0 { "small" } else { "large" },
+                    -turn_mrad,
+                    -row_px,
+                    -col_px
+                )
+            }
+            FaultKind::MisplacedOneByOne { rms_px } => format!(
+                "the truths do not lie where the frames show the specimens, each elsewhere: {rms_px:.2} object pixels \
+                 from their mean place (root mean square). Nothing that is the same in all frames does that: the \
+                 specimen or the array moved from frame to frame, or the truths were placed one by one. They were left \
+                 out, and no effect was searched for. State how well they are placed (`truth_registration_px` with \
+                 `truth_registration_per_frame`), or leave `truth` out of the stack"
+            ),
         }
     }
 }

@@ -162,6 +162,16 @@ impl Observations {
         self.registrations.iter().position(|r| r.holds(f.stack, f.info.frame))
     }
 
+    /// Leaves the truths out: the specimens are unknown, and nothing but blocks of their frames is held out.
+    pub(crate) fn forget_truths(&mut self) {
+        self.truths.clear();
+        self.registrations.clear();
+        for f in self.frames.iter_mut().filter(|f| matches!(f.shown, Shown::Object(_))) {
+            (f.shown, f.held_out) = (Shown::Unknown, false);
+            self.recorded += 1;
+        }
+    }
+
     /// Spatial blocks along each side of the sensor.
     pub(crate) fn blocks_per_side(&self) -> usize {
         self.blocks.len().isqrt()

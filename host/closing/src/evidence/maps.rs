@@ -1,4 +1,4 @@
-//! Maps of the sensor that are estimated from scenes: a factor on their light, or light added to them.
+//! Maps of the sensor that are estimated from scenes: a factor on their light, or on that of one lens, or light added.
 //!
 //! The residual of each pixel, divided by what a unit of the map would change, is averaged over neighbourhoods of
 //! falling size: rows and columns, then Gaussians, then single pixels that stand out, then all single pixels. Two
@@ -8,7 +8,7 @@
 use super::stats::{f_tail, sigmas};
 use super::tables::TableFit;
 use crate::data::Shown;
-use crate::fit::{Model, Predicted, State, Term};
+use crate::fit::{Fitted, Model, Predicted, Scenes, State, Term};
 use ndarray::{Array2, Axis, Zip};
 use ommatidia_physics::effects::{Effect, TableUse, blur_within, registry};
 use rayon::prelude::*;
@@ -34,6 +34,30 @@ enum Near {
     Alone,
 }
 
+/// What a unit of a map changes.
+#[derive(Clone, Copy)]
+struct Acts<'a> {
+    acts: TableUse,
+    /// For each frame the light through the lens that has the map, electrons; empty where all lenses have it.
+    view_e: &'a [Option<Array2<f32>>],
+}
+
+impl Acts<'_> {
+    /// Change of frame `k` by a unit of the map, DN at each pixel.
+    fn template(&self, model: &Model<'_>, here: &Predicted, k: usize) -> Array2<f32> {
+        let gain = model.forward.noise().gain_dn_per_e as f32;
+        let even = |v: f32| Array2::from_elem(here.light_e.dim(), v);
+        match (self.acts, self.view_e.get(k)) {
+            (TableUse::SceneView, Some(Some(view_e))) => view_e * gain,
+            (TableUse::SceneView, _) => even(0.0),
+            (TableUse::SceneResponse, _) => &here.light_e * gain,
+            (TableUse::SceneRate, _) => even(gain * model.seen.frames[k].info.exposure_ms as f32),
+            (TableUse::SceneStray, _) => even(gain * here.light_e.mean().unwrap_or(0.0)),
+            _ => even(1.0),
+        }
+    }
+}
+
 /// Sums over frames at each pixel: score `sum w^2 t r` and information `sum w^2 t^2`, for residuals r, the change t by
 /// a unit of the map, and inverse standard deviations w. [sensor rows, sensor cols].
 #[derive(Clone)]
@@ -48,26 +72,18 @@ impl Sums {
         &self.score - &(&self.information * map)
     }
 
-    fn of(model: &Model<'_>, now: &[Predicted], acts: TableUse, frames: &[usize]) -> Self {
+    fn of(model: &Model<'_>, now: &[Predicted], acts: Acts<'_>, frames: &[usize]) -> Self {
         let shape = (model.seen.sensor[0], model.seen.sensor[1]);
         let mut sums = Self { score: Array2::zeros(shape), information: Array2::zeros(shape) };
-        let gain = model.forward.noise().gain_dn_per_e as f32;
         for k in frames {
             let here = &now[*k];
-            let t = model.seen.frames[*k].info.exposure_ms as f32;
-            let mean = here.light_e.mean().unwrap_or(0.0);
+            let template = acts.template(model, here, *k);
             Zip::from(&mut sums.score)
                 .and(&mut sums.information)
                 .and(&here.residual_dn)
                 .and(&here.inverse_sigma)
-                .and(&here.light_e)
-                .for_each(|score, information, r, w, e| {
-                    let template = match acts {
-                        TableUse::SceneResponse => gain * e,
-                        TableUse::SceneRate => gain * t,
-                        TableUse::SceneStray => gain * mean,
-                        _ => 1.0,
-                    };
+                .and(&template)
+                .for_each(|score, information, r, w, template| {
                     *score += w * w * template * r;
                     *information += w * w * template * template;
                 });
@@ -85,14 +101,42 @@ fn power(information: &Array2<f32>, map: &Array2<f32>) -> f64 {
     Zip::from(information).and(map).fold(0.0, |sum, i, u| sum + f64::from(i * u * u))
 }
 
-/// Estimates the unnamed maps of scenes that are not in the state. `now` are the predicted frames.
-pub(crate) fn fit(model: &Model<'_>, state: &State, now: &[Predicted]) -> Vec<TableFit> {
-    let open = |e: &&&'static dyn Effect| !state.terms.iter().any(|t| t.id() == e.descriptor().id);
+/// What maps are estimated beside: a state, the light of its objects behind the optics, and the frames as predicted
+/// from them.
+#[derive(Clone, Copy)]
+pub(crate) struct Beside<'a> {
+    pub(crate) state: &'a State,
+    pub(crate) scenes: &'a Scenes,
+    pub(crate) predicted: &'a [Predicted],
+}
+
+impl<'a> Beside<'a> {
+    /// A fit.
+    pub(crate) fn of(fit: &'a Fitted) -> Self {
+        Self { state: &fit.state, scenes: &fit.scenes, predicted: &fit.predicted }
+    }
+
+    /// For each of some frames the light through a lens, electrons.
+    fn view_e(self, model: &Model<'_>, lens: usize, frames: &[usize]) -> Vec<Option<Array2<f32>>> {
+        let chain = model.chain(&self.state.terms);
+        let mut out = vec![None; self.predicted.len()];
+        for k in frames {
+            let view = |scene| model.lens_e(*k, scene, lens, &chain, self.state) * self.predicted[*k].scale as f32;
+            out[*k] = self.scenes[*k].as_ref().map(view);
+        }
+        out
+    }
+}
+
+/// Estimates the unnamed maps of scenes that are not in the state.
+pub(crate) fn fit(model: &Model<'_>, now: Beside<'_>) -> Vec<TableFit> {
+    let open = |e: &&&'static dyn Effect| !now.state.terms.iter().any(|t| t.id() == e.descriptor().id);
     registry().par_iter().filter(open).filter_map(|e| one(model, *e, now)).collect()
 }
 
-/// Estimates the map of an effect from scenes. None: it has no such map, or the scenes do not show one.
-pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predicted]) -> Option<TableFit> {
+/// Estimates the map of an effect from scenes: of a map that one lens has, that of the lens which gains most. None: it
+/// has no such map, or the scenes do not show one.
+pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: Beside<'_>) -> Option<TableFit> {
     let acts = effect.table().filter(|kind| kind.acts.of_scenes())?.acts;
     let known = |shown: &Shown| matches!(shown, Shown::Object(_) | Shown::Bead(_));
     let frames = &model.seen.frames;
@@ -101,10 +145,23 @@ pub(crate) fn one(model: &Model<'_>, effect: &'static dyn Effect, now: &[Predict
     if training.len() < FRAMES || !judged {
         return None;
     }
-    let found = estimate(model, now, acts, &training)?;
     let expanded = effect.descriptor().expanded(model.lenses());
     let mut params: Vec<f64> = expanded.iter().map(|(_, p)| p.off).collect();
     let first = expanded.first()?.1;
+    let found = match acts {
+        TableUse::SceneView if model.lenses() < 2 => return None,
+        TableUse::SceneView => {
+            let of_lens = |lens: usize| {
+                let view_e = now.view_e(model, lens, &training);
+                Some((lens, estimate(model, now.predicted, Acts { acts, view_e: &view_e }, &training)?))
+            };
+            let all: Vec<(usize, Found)> = (0..model.lenses()).into_par_iter().filter_map(of_lens).collect();
+            let (lens, found) = all.into_iter().max_by(|a, b| a.1.gain.total_cmp(&b.1.gain))?;
+            *params.get_mut(1)? = lens as f64;
+            found.among(model.lenses())
+        }
+        _ => estimate(model, now.predicted, Acts { acts, view_e: &[] }, &training)?,
+    };
     params[0] = first.outer(found.variance);
     let size_sigma = found.variance / found.z.max(1.0);
     Some(TableFit {
@@ -129,7 +186,15 @@ struct Found {
     p: f64,
 }
 
-fn estimate(model: &Model<'_>, now: &[Predicted], acts: TableUse, training: &[usize]) -> Option<Found> {
+impl Found {
+    /// As the best of so many, of which noise makes one look good.
+    fn among(self, chances: usize) -> Self {
+        let p = (self.p * chances as f64).min(1.0);
+        Self { p, z: sigmas((2.0 * p).min(1.0)), ..self }
+    }
+}
+
+fn estimate(model: &Model<'_>, now: &[Predicted], acts: Acts<'_>, training: &[usize]) -> Option<Found> {
     // Pairs of frames stay together, since effects of the preceding frame come in pairs.
     let halves = [0, 1].map(|h| -> Vec<usize> {
         training.iter().enumerate().filter(|(n, _)| n / 2 % 2 == h).map(|(_, k)| *k).collect()
@@ -184,7 +249,7 @@ fn estimate(model: &Model<'_>, now: &[Predicted], acts: TableUse, training: &[us
 fn cross(
     model: &Model<'_>,
     now: &[Predicted],
-    acts: TableUse,
+    acts: Acts<'_>,
     halves: &[Vec<usize>; 2],
     maps: &[Array2<f32>; 2],
 ) -> [Vec<f64>; 2] {

@@ -12,6 +12,7 @@ pub mod curves;
 pub mod figures;
 pub(crate) mod maps;
 pub mod omnibus;
+mod placement;
 pub mod score;
 pub mod stats;
 pub mod tables;
@@ -29,6 +30,7 @@ pub(crate) use figures::{
 };
 pub(crate) use omnibus::noise_left;
 pub use omnibus::structured;
+pub(crate) use placement::{Placement, placement};
 pub use score::{Scores, Test};
 pub use stats::{f_tail, holm};
 pub use tables::TableFit;

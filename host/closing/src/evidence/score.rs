@@ -77,14 +77,20 @@ pub struct Scores<'d> {
 impl<'d> Scores<'d> {
     /// Prepares tests on the training cells with the columns `given` projected out.
     pub fn new(design: &'d Design, given: Vec<usize>) -> Self {
-        let sums = design.training();
+        Self::on(design, given, |_| true)
+    }
+
+    /// The same on those of the training cells for which `take` is true.
+    pub(crate) fn on(design: &'d Design, given: Vec<usize>, take: impl Fn(&Cell) -> bool) -> Self {
+        let taken = |c: &Cell| !c.held_out && take(c);
+        let sums = design.sums(taken);
         let z = sums.gram.select(ndarray::Axis(0), &given).select(ndarray::Axis(1), &given);
         let inverse = pseudo_inverse(&z);
         let by = |key: &dyn Fn(&Cell) -> usize| {
-            let mut keys: Vec<usize> = design.cells.iter().filter(|c| !c.held_out).map(key).collect();
+            let mut keys: Vec<usize> = design.cells.iter().filter(|c| taken(c)).map(key).collect();
             keys.sort_unstable();
             keys.dedup();
-            let sum = |k: usize| design.sums(|c| !c.held_out && key(c) == k).gram;
+            let sum = |k: usize| design.sums(|c| taken(c) && key(c) == k).gram;
             keys.into_iter().map(sum).collect::<Vec<_>>()
         };
         let clusters = [by(&|c| c.block), by(&|c| c.frame)];

@@ -347,10 +347,27 @@ fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> O
     Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, table_error, z })
 }
 
+/// A map without what all pixels of a row, or of a column, share: the first column behind a lag is no spot. Medians leave
+/// spots as they are.
+fn without_lines(map: &Array2<f32>) -> Array2<f32> {
+    let mut out = map.clone();
+    for axis in [Axis(0), Axis(1)] {
+        for mut line in out.axis_iter_mut(axis) {
+            let mut values = line.to_vec();
+            let middle = values.len() / 2;
+            if !values.is_empty() {
+                let median = *values.select_nth_unstable_by(middle, f32::total_cmp).1;
+                line.mapv_inplace(|v| v - median);
+            }
+        }
+    }
+    out
+}
+
 /// Dark spots: minima of a map that is smoothed to their size.
 fn spots(a: &Half, b: &Half, left: f64) -> Option<Shape> {
     let smooth = |h: &Half| {
-        let flat = level(h).value;
+        let flat = without_lines(&level(h).value);
         blur_within(&flat, SPOT_PX) - blur_within(&flat, 8.0 * SPOT_PX)
     };
     let (sa, sb) = (smooth(a), smooth(b));

@@ -251,7 +251,7 @@ impl<'a> Model<'a> {
 
     /// Light of frame `k` through one lens before the effects on the sensor, electrons, with the registration of its
     /// truth under a state.
-    pub(super) fn lens_e(
+    pub(crate) fn lens_e(
         &self,
         k: usize,
         scene: &SceneLight,

@@ -329,7 +329,7 @@ pub fn others(frames: &[Seen]) -> Option<(usize, usize, f64)> {
 }
 
 /// Difference of two correlation coefficients over `n` pixels, standard deviations (Fisher's z transformation).
-fn fisher(a: f64, b: f64, n: usize) -> f64 {
+pub(crate) fn fisher(a: f64, b: f64, n: usize) -> f64 {
     let z = |r: f64| r.clamp(-0.999_999, 0.999_999).atanh();
     (z(b) - z(a)).abs() * (n.max(4) as f64 - 3.0).sqrt() / std::f64::consts::SQRT_2
 }

@@ -29,6 +29,8 @@ pub struct Candidate {
     pub chances: f64,
     /// Its estimated table, for an effect with a table instead of columns.
     pub table: Option<TableFit>,
+    /// Whether flats and darks prove it: there its evidence is clear, and they hold most of what it explains.
+    pub proved_by_even_light: bool,
 }
 
 impl Candidate {
@@ -67,12 +69,12 @@ impl Candidate {
     }
 
     /// Whether an error in the law of another effect may look like this one. Tables are estimated from even light and
-    /// darks alone, pixel by pixel: the optics cannot imitate them. A term without a name claims no cause, so that it
+    /// darks alone, pixel by pixel: the optics cannot imitate them, nor what even light and darks prove otherwise. A term without a name claims no cause, so that it
     /// is added wherever much is left of the data of `pixels` pixels.
     pub(crate) fn can_be_shadowed(&self, pixels: f64) -> bool {
         let much = self.term.id().starts_with("unknown") && self.gain() > MUCH * pixels;
         let of_even_light = self.table.as_ref().is_some_and(|t| !t.of_scenes);
-        !of_even_light && !much
+        !of_even_light && !much && !self.proved_by_even_light
     }
 
     /// Whether it explains enough for the many values that it is free to choose, in the data of `pixels` pixels.
@@ -155,6 +157,8 @@ pub struct Found {
     pub held_out_gain: f64,
     /// Share of that fall that flats and darks have.
     pub of_even_light: f64,
+    /// Whether flats and darks proved it when it was added ([`Candidate::proved_by_even_light`]).
+    pub proved_by_even_light: bool,
     /// Effects that would explain the data nearly as well, most similar first, then similar ones that cannot be tested.
     pub ambiguity: Vec<Alternative>,
     /// Standard error of the size of its table, for an effect with a table.

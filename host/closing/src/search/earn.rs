@@ -149,8 +149,12 @@ fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, Forw
             let old = without.terms.remove(*i);
             let predicted = model.predict(&without, &scenes);
             let of_scenes = old.effect.table().is_some_and(|kind| kind.acts.of_scenes());
-            let one = if of_scenes { maps::one } else { tables::one };
-            state.terms[*i] = one(model, old.effect, &predicted).map_or(old, |f| f.term);
+            let beside = maps::Beside { state: &without, scenes: &scenes, predicted: &predicted };
+            let found = match of_scenes {
+                true => maps::one(model, old.effect, beside),
+                false => tables::one(model, old.effect, &predicted),
+            };
+            state.terms[*i] = found.map_or(old, |f| f.term);
         }
         let next = refit_from(model, state, scenes)?;
         state = next.state.clone();

@@ -121,7 +121,14 @@ mod tests {
             left: 1.0,
         };
         let term = Term { effect, params, table: None, table_error: 0.0 };
-        Candidate { term, columns: (0..n).collect(), test: Some(test), chances: 1.0, table: None }
+        Candidate {
+            term,
+            columns: (0..n).collect(),
+            test: Some(test),
+            chances: 1.0,
+            table: None,
+            proved_by_even_light: false,
+        }
     }
 
     #[test]

@@ -2,10 +2,18 @@
 
 use super::candidate::Candidate;
 use super::trials::Tried;
+use crate::data::Shown;
+use crate::evidence::maps::Beside;
 use crate::evidence::{Scores, TableFit, Test, maps, tables};
 use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, fitted_columns};
 use ommatidia_model::forward::ForwardError;
+use ommatidia_physics::effects::Stage;
 use ommatidia_session::Role;
+
+/// Evidence in flats and darks alone from which they prove an effect, standard deviations, and the least share of what
+/// it explains that they hold.
+const PROVED: f64 = 5.0;
+const MOST: f64 = 0.5;
 
 /// A term without a name is tried only if at least this share of its squared norm is independent of the model's
 /// columns.
@@ -32,7 +40,16 @@ pub(crate) fn score(
     }
     let scope = Scope::Scores { given: taken.len(), groups: &spans };
     let design = Design::compute(model, fitted.expansion(terms), columns, errors, scope)?;
-    let scores = Scores::new(&design, taken);
+    let scores = Scores::new(&design, taken.clone());
+    // Light that is even, and the dark, do not show the optics.
+    let even = |k: usize| model.seen.frames.get(k).is_some_and(|f| matches!(f.shown, Shown::Even | Shown::Dark));
+    let in_even_light = Scores::on(&design, taken, |c| even(c.frame));
+    let proved = |term: &Term, columns: &[usize], test: &Option<Test>| {
+        let of_sensor = matches!(term.effect.descriptor().stage, Stage::Charge | Stage::Electronics);
+        let Some(all) = test.as_ref().filter(|_| of_sensor && !term.effect.noise_only()) else { return false };
+        let holds_most = |t: &Test| t.z > PROVED && t.gain > MOST * all.gain;
+        in_even_light.test(columns).is_some_and(|t| holds_most(&t))
+    };
     let scenes = model.seen.of(Role::Scene).count();
     let mut candidates: Vec<Candidate> = Vec::new();
     for (term, span) in terms.iter().zip(spans) {
@@ -41,7 +58,8 @@ pub(crate) fn score(
         let test = scores.test(&columns).filter(|t| !unnamed || t.left > DISTINCT).map(|t| one_sided(model, term, t));
         let starts = terms.iter().filter(|t| t.id() == term.id()).count() as f64;
         let chances = starts.max(term.effect.chances(model.seen.sensor, scenes));
-        let candidate = Candidate { term: term.clone(), columns, test, chances, table: None };
+        let proved_by_even_light = proved(term, &columns, &test);
+        let candidate = Candidate { term: term.clone(), columns, test, chances, table: None, proved_by_even_light };
         let near = candidate.is_near_its_start(model.lenses());
         match candidates.iter_mut().find(|c| c.term.id() == term.id()) {
             Some(best) if near && candidate.is_better_start(best) => *best = candidate,
@@ -73,12 +91,18 @@ pub(super) fn tabled(model: &Model<'_>, now: &Fitted, tried: Tried) -> Vec<Candi
         Tried::Catalogue => tables::fit(model, &now.state, &now.predicted, true),
         Tried::Maps => {
             let mut fits = tables::fit(model, &now.state, &now.predicted, false);
-            fits.extend(maps::fit(model, &now.state, &now.predicted));
+            fits.extend(maps::fit(model, Beside::of(now)));
             fits
         }
     };
-    let candidate =
-        |t: TableFit| Candidate { term: t.term.clone(), columns: Vec::new(), test: None, chances: 1.0, table: Some(t) };
+    let candidate = |t: TableFit| Candidate {
+        term: t.term.clone(),
+        columns: Vec::new(),
+        test: None,
+        chances: 1.0,
+        table: Some(t),
+        proved_by_even_light: false,
+    };
     fits.into_iter().map(candidate).collect()
 }
 

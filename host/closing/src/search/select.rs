@@ -108,6 +108,15 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
+    /// Computes the candidates, and adds none.
+    ///
+    /// # Errors
+    /// An object holds negative or non-finite light.
+    pub fn look(&mut self, tried: Tried) -> Result<(), ForwardError> {
+        self.rest = self.candidates(tried)?;
+        Ok(())
+    }
+
     /// All candidates with their evidence beside the present state, the best first.
     fn candidates(&self, tried: Tried) -> Result<Vec<Candidate>, ForwardError> {
         let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
@@ -288,7 +297,8 @@ impl<'m, 'a> Search<'m, 'a> {
         let of_even = self.now.even_held_out.deviance - added.fit.even_held_out.deviance;
         let of_even_light = if added.gain > 0.0 { (of_even / added.gain).clamp(0.0, 1.0) } else { 0.0 };
         let (id, z, held_out_gain) = (it.term.id(), it.z(), added.gain);
-        Ok(Found { id, z, held_out_gain, of_even_light, ambiguity, table_sigma })
+        let proved_by_even_light = it.proved_by_even_light;
+        Ok(Found { id, z, held_out_gain, of_even_light, proved_by_even_light, ambiguity, table_sigma })
     }
 
     /// How similar the signature of a candidate is to those of others.

@@ -2,6 +2,7 @@
 
 use super::{accounted, closed, measured, names, subject};
 use ndarray::{Array3, Axis};
+use ommatidia_closing::FaultKind;
 use ommatidia_closing::study::sessions::Holds;
 use ommatidia_closing::{Budget, CloseOptions, Observations, Verdict, close};
 use ommatidia_physics::effects::EffectSetting;
@@ -78,4 +79,54 @@ fn what_makes_frames_sharper_or_softer_is_no_blur_of_truths() {
     };
     assert_eq!(with("shorter", "spectral_shift", "change", -0.05), ["spectral_shift"]);
     assert_eq!(with("spread", "charge_diffusion", "sigma_px", 0.4), ["charge_diffusion"]);
+}
+
+/// Pictures whose point at (row, col) from the centre lies at `size` times that, turned by `turn` rad (rows towards
+/// columns) and displaced, by linear interpolation, dark outside; `displaced` gives the displacement of each, pixels.
+fn moved(pictures: &Array3<f32>, size: f64, turn: f64, displaced: impl Fn(usize) -> [f64; 2]) -> Array3<f32> {
+    let (_, rows, cols) = pictures.dim();
+    let centre = [rows, cols].map(|n| (n as f64 - 1.0) / 2.0);
+    Array3::from_shape_fn(pictures.dim(), |(k, r, c)| {
+        let [y, x] = [r as f64 - centre[0] - displaced(k)[0], c as f64 - centre[1] - displaced(k)[1]];
+        let at = [
+            centre[0] + (turn.cos() * y - turn.sin() * x) / size,
+            centre[1] + (turn.sin() * y + turn.cos() * x) / size,
+        ];
+        let near = |a: usize| [(at[a].floor(), 1.0 - at[a].fract()), (at[a].floor() + 1.0, at[a].fract())];
+        let value = |r: f64, c: f64| {
+            let inside = r >= 0.0 && c >= 0.0 && r < rows as f64 && c < cols as f64;
+            if inside { pictures[[k, r as usize, c as usize]] } else { 0.0 }
+        };
+        let both = near(0).into_iter().flat_map(|r| near(1).map(|c| (r, c)));
+        both.map(|((r, u), (c, v))| (u * v) as f32 * value(r, c)).sum()
+    })
+}
+
+/// Truths that lie so far beside the objects that no effect describes it, without a word about it in the session: the
+/// views of each frame agree with one another, so that the truths are wrong and nothing else is.
+#[test]
+fn truths_far_beside_the_objects_are_said_to_be_misplaced() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |name: &str, size: f64, turn: f64, displaced: &dyn Fn(usize) -> [f64; 2]| {
+        let dir = folder.path().join(name);
+        let session = measured(Holds::Whole, &[], &dir, 65);
+        let file = dir.join("scene_truth.npy");
+        let truths = stack::read(&file).unwrap();
+        stack::write(&file, moved(&truths, size, turn, displaced).view()).unwrap();
+        let found = closed(&session);
+        let causes = found.effects.iter().filter(|e| e.known && e.id != "metadata_fault").count();
+        assert_eq!(causes, 0, "{:?}", names(&found));
+        assert!(found.registrations.is_empty() && found.estimated_frames.len() > 3);
+        let [fault] = found.faults.as_slice() else { panic!("{:?}", found.faults) };
+        assert!(fault.correlation_after > fault.correlation_before && fault.z > 5.0, "{fault:?}");
+        fault.kind
+    };
+    let none = |_: usize| [0.0; 2];
+    let FaultKind::Misplaced { scale, turn_mrad, .. } = with("large", 1.04, 0.0, &none) else { panic!("no scale") };
+    assert!((scale - (1.0 / 1.04 - 1.0)).abs() < 0.004 && turn_mrad.abs() < 4.0, "{scale} {turn_mrad}");
+    let FaultKind::Misplaced { scale, turn_mrad, .. } = with("turned", 1.0, 0.035, &none) else { panic!("no turn") };
+    assert!(scale.abs() < 0.004 && (turn_mrad.abs() - 35.0).abs() < 4.0, "{scale} {turn_mrad}");
+    let each = |k: usize| [0.8 * (k as f64 * 2.1).sin(), 0.8 * (k as f64 * 1.3).cos()];
+    let FaultKind::MisplacedOneByOne { rms_px } = with("each", 1.0, 0.0, &each) else { panic!("not one by one") };
+    assert!((0.6..1.0).contains(&rms_px), "{rms_px}");
 }

@@ -203,7 +203,16 @@ impl Chain {
 
     /// Stage `Lens`: changes the light through lens `cx.lens`, [sensor rows, sensor cols], expected electrons.
     pub fn on_lens(&self, image_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
-        self.at(Stage::Lens).for_each(|a| a.effect.on_lens(&a.params, image_e, cx));
+        for a in self.at(Stage::Lens) {
+            match &a.table {
+                Some((TableUse::SceneView, u)) => {
+                    if cx.shows_specimen() && a.params.get(1) == Some(&(cx.lens as f64)) {
+                        image_e.zip_mut_with(u, |v, u| *v *= (1.0 + u).max(0.0));
+                    }
+                }
+                _ => a.effect.on_lens(&a.params, image_e, cx),
+            }
+        }
     }
 
     /// Stage `Light`: changes the light through all lenses, [sensor rows, sensor cols], expected electrons.

@@ -104,6 +104,7 @@ mod unknown_profile;
 mod unknown_scatter;
 mod unknown_shading;
 mod unknown_stray;
+mod unknown_view;
 mod unknown_warp;
 mod veiling_glare;
 mod vignetting;

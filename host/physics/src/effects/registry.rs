@@ -65,6 +65,7 @@ use super::unknown_profile::UnknownProfile;
 use super::unknown_scatter::UnknownScatter;
 use super::unknown_shading::UnknownShading;
 use super::unknown_stray::UnknownStray;
+use super::unknown_view::UnknownView;
 use super::unknown_warp::UnknownWarp;
 use super::veiling_glare::VeilingGlare;
 use super::vignetting::Vignetting;
@@ -136,6 +137,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &UnknownLight,
     &UnknownStray,
     &UnknownOffset,
+    &UnknownView,
     &UnknownWarp,
     &UnknownBlur,
     &UnknownScatter,

@@ -26,12 +26,14 @@ pub enum TableUse {
     SceneStray,
     /// Stage `Electronics`: `y + u` in frames of specimens and beads, u in DN.
     SceneOffset,
+    /// Stage `Lens`: `mu_l (1 + u)` of the lens that the second parameter numbers, in frames of specimens and beads.
+    SceneView,
 }
 
 impl TableUse {
     /// Whether the table acts in frames of specimens and beads alone. It is estimated from these frames.
     pub fn of_scenes(self) -> bool {
-        matches!(self, Self::SceneResponse | Self::SceneRate | Self::SceneStray | Self::SceneOffset)
+        matches!(self, Self::SceneResponse | Self::SceneRate | Self::SceneStray | Self::SceneOffset | Self::SceneView)
     }
 }
 

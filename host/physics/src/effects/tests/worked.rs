@@ -224,10 +224,15 @@ fn maps_of_scenes_leave_flats_as_they_are() {
         let off = effect.descriptor().expanded(2).iter().map(|(_, p)| p.off).collect();
         chain.push(effect, off, Some(&table), layout).unwrap();
         let mut image = ndarray::arr2(&[[10.0f32, 10.0]]);
+        chain.on_lens(&mut image, cx);
         chain.on_light(&mut image, cx);
         chain.on_electronics(&mut image, cx);
         image
     };
+    // Of the first lens, whose number is the default.
+    assert_eq!(scene.lens, 0);
+    assert_eq!(frame("unknown_view", &scene), ndarray::arr2(&[[15.0, 0.0]]));
+    assert_eq!(frame("unknown_view", &FrameContext { lens: 1, ..scene }), ndarray::arr2(&[[10.0, 10.0]]));
     // 10 ms; light is never negative.
     assert_eq!(frame("unknown_shading", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     // A dark signal is there without light as well.
@@ -236,7 +241,7 @@ fn maps_of_scenes_leave_flats_as_they_are() {
     assert_eq!(frame("unknown_light", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     assert_eq!(frame("unknown_stray", &scene), ndarray::arr2(&[[15.0, 0.0]]));
     assert_eq!(frame("unknown_offset", &scene), ndarray::arr2(&[[10.5, 8.0]]));
-    for id in ["unknown_shading", "unknown_light", "unknown_stray", "unknown_offset"] {
+    for id in ["unknown_shading", "unknown_light", "unknown_stray", "unknown_offset", "unknown_view"] {
         assert_eq!(frame(id, &flat), ndarray::arr2(&[[10.0, 10.0]]), "{id}");
     }
 }
