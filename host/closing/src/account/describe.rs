@@ -65,7 +65,8 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
                 Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
             })
             .collect();
-        by_law(&mut params, term, model.lenses(), left.of(f));
+        // What flats and darks prove is not in doubt for what the scenes leave.
+        by_law(&mut params, term, model.lenses(), if f.proved_by_even_light { 0.0 } else { left.of(f) });
         if BY_DEPTH.contains(&f.id) {
             let error = model.forward.depth_error();
             params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error * v.value));

@@ -86,15 +86,15 @@ pub(super) fn settle(
     let mut rest = std::mem::take(&mut search.rest);
     let ended = given.judge_only || search.needs_calibration() || search.truths_are_too_blurred();
     let mut views = None;
-    if structured(&dependences)
-        && !given.judge_only
-        && !search.needs_calibration()
-        && basis.excess(&search.now).is_much()
-    {
+    // Truths that are placed one by one are placed already.
+    let one_by_one = model.seen.registrations.iter().any(|r| r.frame.is_some() && r.sigma_px > 0.0);
+    let open = !given.judge_only && !one_by_one && !search.needs_calibration();
+    if open && structured(&dependences) && basis.excess(&search.now).is_much() {
         progress("views without truths");
         let known = figures(model, &basis.before).chi2_ndf;
         views = Views::of(basis.instrument, model.seen)?;
-        if let Some(fault) = views.as_ref().and_then(|v| v.misplaced(v.agree(known))) {
+        let fitted = search.now.state.registration.first().copied().unwrap_or_default();
+        if let Some(fault) = views.as_ref().and_then(|v| v.misplaced(v.agree(known), fitted)) {
             return Ok(End::Misplaced(fault));
         }
         views = views.filter(|v| v.agree(known));

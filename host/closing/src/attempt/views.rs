@@ -4,7 +4,7 @@
 use crate::data::{Fault, FaultKind, Observations, Shown};
 use crate::evidence::{Placement, figures, placement};
 use crate::fit::record::fisher;
-use crate::fit::truth::Grid;
+use crate::fit::truth::{Grid, Registered};
 use crate::fit::{Model, estimate_specimens, refit};
 use crate::options::CloseError;
 use ommatidia_model::instrument::Instrument;
@@ -20,6 +20,8 @@ const EXPLAINED: f64 = 0.5;
 const CORNER_PX: f64 = 0.5;
 /// Truths are misplaced one by one if they lie so far from their mean place, root mean square, object pixels.
 const SCATTER_PX: f64 = 0.2;
+/// and more than so many times the scatter of what turn and scale move: those of single truths are errors.
+const CLEAR: f64 = 3.0;
 /// Number of scenes that this takes.
 const SCENES: usize = 3;
 
@@ -95,33 +97,42 @@ impl Views {
 
     /// How the truths are misplaced, if they are; `agree`: whether the views agree. A turn or a magnification of the
     /// array makes views that contradict one another, and estimates of the specimens that lie beside the truths.
-    /// Nothing that is the same in all frames displaces each of them by another amount.
-    pub fn misplaced(&self, agree: bool) -> Option<Fault> {
-        let Placement { parts, apart, left, share } = self.together;
-        let corner_px = parts[2].hypot(parts[3]);
+    /// Nothing that is the same in all frames displaces each of them by another amount. `fitted`: how a fit has placed
+    /// the truths.
+    pub fn misplaced(&self, agree: bool, fitted: Registered) -> Option<Fault> {
         let correlation = |unlike: f64| (1.0 - unlike).max(0.0).sqrt();
         let fault = |kind, left: f64| Fault {
             frame: self.first,
             kind,
-            z: fisher(correlation(apart), correlation(left), self.pixels),
-            correlation_before: correlation(apart),
+            z: fisher(correlation(self.together.apart), correlation(left), self.pixels),
+            correlation_before: correlation(self.together.apart),
             correlation_after: correlation(left),
         };
-        if agree && share <= EXPLAINED && corner_px >= CORNER_PX {
+        let Placement { parts, left, share, .. } = self.together;
+        let corner_px = |parts: Registered| parts[2].hypot(parts[3]);
+        let off: Registered = std::array::from_fn(|i| parts[i] - fitted[i]);
+        if agree && share <= EXPLAINED && corner_px(off) >= CORNER_PX {
             let (turn_mrad, scale) = (self.grid.turn_mrad(parts[2]), self.grid.scale(parts[3]));
-            return Some(fault(
-                FaultKind::Misplaced { row_px: parts[0], col_px: parts[1], turn_mrad, scale, corner_px },
-                left,
-            ));
+            let [row_px, col_px, ..] = parts;
+            let kind = FaultKind::Misplaced { row_px, col_px, turn_mrad, scale, corner_px: corner_px(parts) };
+            return Some(fault(kind, left));
         }
-        let n = self.each.len() as f64;
-        let mean = |of: &dyn Fn(&Placement) -> f64| self.each.iter().map(of).sum::<f64>() / n;
-        let middle = [mean(&|p| p.parts[0]), mean(&|p| p.parts[1])];
-        let off = |p: &Placement| (p.parts[0] - middle[0]).powi(2) + (p.parts[1] - middle[1]).powi(2);
-        let rms_px = mean(&off).sqrt();
-        let mut left: Vec<(f64, f64)> = self.each.iter().map(|p| (p.share, p.left)).collect();
-        left.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let (share, left) = *left.get(left.len() / 2)?;
-        (share <= EXPLAINED && rms_px >= SCATTER_PX).then(|| fault(FaultKind::MisplacedOneByOne { rms_px }, left))
+        let [rms_px, of_corners] = [0, 2].map(|first| self.scatter_px(first));
+        let mut explained: Vec<(f64, f64)> = self.each.iter().map(|p| (p.share, p.left)).collect();
+        explained.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Of most frames.
+        let (share, left) = *explained.get(3 * explained.len() / 4)?;
+        let is_clear = rms_px >= SCATTER_PX.max(CLEAR * of_corners);
+        (share <= EXPLAINED && is_clear).then(|| fault(FaultKind::MisplacedOneByOne { rms_px }, left))
+    }
+
+    /// Scatter of two parts between the frames, root mean square of both together, object pixels.
+    fn scatter_px(&self, first: usize) -> f64 {
+        let n = self.each.len().max(1) as f64;
+        let square = |i: usize| {
+            let mean = self.each.iter().map(|p| p.parts[i]).sum::<f64>() / n;
+            self.each.iter().map(|p| (p.parts[i] - mean).powi(2)).sum::<f64>() / n
+        };
+        (square(first) + square(first + 1)).sqrt()
     }
 }

@@ -92,7 +92,10 @@ fn moved(pictures: &Array3<f32>, size: f64, turn: f64, displaced: impl Fn(usize)
             centre[0] + (turn.cos() * y - turn.sin() * x) / size,
             centre[1] + (turn.sin() * y + turn.cos() * x) / size,
         ];
-        let near = |a: usize| [(at[a].floor(), 1.0 - at[a].fract()), (at[a].floor() + 1.0, at[a].fract())];
+        let near = |a: usize| {
+            let part = at[a] - at[a].floor();
+            [(at[a].floor(), 1.0 - part), (at[a].floor() + 1.0, part)]
+        };
         let value = |r: f64, c: f64| {
             let inside = r >= 0.0 && c >= 0.0 && r < rows as f64 && c < cols as f64;
             if inside { pictures[[k, r as usize, c as usize]] } else { 0.0 }
