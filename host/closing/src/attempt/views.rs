@@ -18,9 +18,9 @@ const EXPLAINED: f64 = 0.5;
 /// and moves a corner of the field by at least this, apart from the shift, object pixels: a shift of all views alike may
 /// be one of the array, and smaller displacements are fitted well as those of effects.
 const CORNER_PX: f64 = 0.5;
-/// Truths are misplaced one by one if they lie so far from their mean place, root mean square, object pixels.
+/// Truths are misplaced one by one if they lie so far from their mean place, root mean square, object pixels,
 const SCATTER_PX: f64 = 0.2;
-/// and more than so many times the scatter of what turn and scale move: those of single truths are errors.
+/// and so many times farther than what turn and scale move them: the turns and scales of single truths are errors.
 const CLEAR: f64 = 3.0;
 /// Number of scenes that this takes.
 const SCENES: usize = 3;
@@ -49,7 +49,9 @@ impl Views {
     /// The parts of the instrument disagree.
     pub fn of(instrument: &Instrument, seen: &Observations) -> Result<Option<Self>, CloseError> {
         let known = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_))).count();
-        if known < SCENES || instrument.geometry.anchors_px.len() < 2 {
+        // Of large sensors a sample is used, of which no specimen is estimated.
+        let sampled = seen.pixels.len() < seen.sensor[0] * seen.sensor[1];
+        if known < SCENES || sampled || instrument.geometry.anchors_px.len() < 2 {
             return Ok(None);
         }
         let mut unknown = seen.clone();

@@ -2,8 +2,8 @@
 //!
 //! [`omnibus`] asks whether the residual depends on anything at all, [`score`] how much each effect of the catalogue
 //! would improve the fit, `constancy` whether an effect has one strength everywhere, [`tables`] whether single pixels
-//! deviate in even light, `maps` what is fixed to the sensor in scenes, [`mod@figures`] how well held-out data are
-//! predicted, [`mod@curves`] whether effects drift within a recording.
+//! deviate in even light, `maps` what is fixed to the sensor in scenes, `placement` where truths lie beside specimens,
+//! [`mod@figures`] how well held-out data are predicted, [`mod@curves`] whether effects drift within a recording.
 
 mod bins;
 mod constancy;
