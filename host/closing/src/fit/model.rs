@@ -1,7 +1,7 @@
 //! The model that the loop closes: the instrument without its effects, and the frames of a session.
 
 use super::lamp;
-use super::projection::Sigmas;
+use super::projection::{Projectors, Sigmas};
 use super::state::{State, Term};
 use super::truth::{Grid, PARTS, TRUTH};
 use super::wings::{self, Ring};
@@ -54,6 +54,8 @@ pub struct Model<'a> {
     pub(super) rings: Vec<Ring>,
     /// Noise of the frames whose specimens are estimated, from their first estimate.
     pub(super) sigmas: OnceLock<Arc<Sigmas>>,
+    /// What takes specimens out of frames.
+    pub(super) projectors: Projectors,
 }
 
 impl<'a> Model<'a> {
@@ -80,6 +82,7 @@ impl<'a> Model<'a> {
             window_px: instrument.psf.basis.dim().2,
             rings: wings::fitted(seen, instrument.psf.basis.dim().2 / 2, quality.outside_window),
             sigmas: OnceLock::new(),
+            projectors: Projectors::default(),
         })
     }
 

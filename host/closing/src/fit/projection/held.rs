@@ -11,7 +11,7 @@ pub(in crate::fit) type Sigmas = Vec<Option<Array2<f32>>>;
 pub struct Specimens {
     /// For each frame its specimen, [object rows, object cols]; None: not estimated.
     pub(in crate::fit) objects: Vec<Option<Array2<f32>>>,
-    pub(in crate::fit) projector: Projector,
+    pub(in crate::fit) projector: Arc<Projector>,
     /// For each frame the standard deviation of the noise, DN, [sensor rows, sensor cols]; None: not estimated.
     pub(in crate::fit) sigmas: Arc<Sigmas>,
     /// Mean square that noise alone leaves of a pixel after the projection, in units of its variance: for each frame,

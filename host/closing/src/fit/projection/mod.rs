@@ -12,5 +12,5 @@ mod views;
 pub(super) use held::Sigmas;
 pub use held::Specimens;
 pub(super) use products::LANES;
-pub(super) use projector::Projector;
+pub(super) use projector::{Projector, Projectors};
 pub(super) use views::Views;

@@ -14,10 +14,35 @@ use super::products::LANES;
 use super::views::Views;
 use ndarray::Array2;
 use ommatidia_physics::linalg::{Cholesky32, NotPositive};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// lambda over the mean diagonal element of A' W A. What is left of a specimen has the norm `sqrt(lambda) / 2 |x|` at
 /// most, far below the noise; single precision carries the factor.
 const LAMBDA: f32 = 1e-4;
+
+/// The projections of a model that are in use. States that differ in the sensor alone have the same optics, and its
+/// factor takes most of the time.
+#[derive(Default)]
+pub(crate) struct Projectors(Mutex<Vec<Weak<Projector>>>);
+
+impl Projectors {
+    /// The projection for optics and weights: one that is in use, or a new one.
+    ///
+    /// # Errors
+    /// The optics hold non-finite values, or no light.
+    pub(crate) fn of(&self, views: Views, weight: Vec<f32>) -> Result<Arc<Projector>, NotPositive> {
+        let in_use = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let all: Vec<Arc<Projector>> = in_use().iter().filter_map(Weak::upgrade).collect();
+        if let Some(same) = all.into_iter().find(|p| p.weight == weight && p.views == views) {
+            return Ok(same);
+        }
+        let new = Arc::new(Projector::of(views, weight)?);
+        let mut all = in_use();
+        all.retain(|p| p.strong_count() > 0);
+        all.push(Arc::downgrade(&new));
+        Ok(new)
+    }
+}
 
 /// The projection for one set of optics and weights.
 pub(crate) struct Projector {
@@ -25,6 +50,8 @@ pub(crate) struct Projector {
     /// [sensor pixels].
     weight: Vec<f32>,
     factor: Cholesky32,
+    /// [`super::Specimens::expected`], which is the same for all states of a model with these optics.
+    pub(in crate::fit) noise_left: OnceLock<Vec<Vec<f64>>>,
 }
 
 impl Projector {
@@ -39,7 +66,7 @@ impl Projector {
         let lambda = (LAMBDA * (trace / n as f64) as f32).max(f32::MIN_POSITIVE);
         (0..n).for_each(|i| normal[i * (n + 1)] += lambda);
         let factor = Cholesky32::of(normal, n)?;
-        Ok(Self { views, weight, factor })
+        Ok(Self { views, weight, factor, noise_left: OnceLock::new() })
     }
 
     /// Applies P to images in place, each [sensor rows, sensor cols].

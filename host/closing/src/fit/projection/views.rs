@@ -8,6 +8,7 @@ use ndarray::Array2;
 const VECTOR: usize = 8;
 
 /// The light of unit sources at all object pixels behind all lenses, electrons at the exposure of the calibration.
+#[derive(PartialEq)]
 pub(crate) struct Views {
     object: [usize; 2],
     sensor: [usize; 2],

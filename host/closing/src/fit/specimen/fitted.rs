@@ -4,7 +4,7 @@ use super::estimate::{AFTER_STRAY, BEFORE_STRAY, Estimate, Estimation};
 use super::probe::probed;
 use crate::data::{Observations, Shown};
 use crate::fit::model::Model;
-use crate::fit::projection::{Projector, Specimens};
+use crate::fit::projection::{Projector, Sigmas, Specimens};
 use crate::fit::state::State;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
@@ -53,7 +53,7 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
             *w = 0.0;
         }
     }
-    let projector = Projector::of(views, weight)?;
+    let projector = model.projectors.of(views, weight)?;
     let dark = |k: usize| model.lit(k, Array2::zeros((seen.sensor[0], seen.sensor[1])), state, (&chain, None));
     // Light that reads as it does under the effects of the sensor, electrons above the dark signal.
     let above_dark = |k: usize, dn: &Array2<f32>| {
@@ -109,16 +109,15 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     });
     let mut objects = vec![None; seen.frames.len()];
     frames.iter().zip(found).for_each(|(k, of)| objects[*k] = Some(of.object));
-    let expected = vec![Vec::new(); seen.frames.len()];
-    let mut it = Specimens { objects, projector, sigmas: Arc::clone(sigmas), expected };
-    it.expected = noise_left(&it, seen);
+    let expected = projector.noise_left.get_or_init(|| noise_left(&projector, sigmas, seen)).clone();
+    let it = Specimens { objects, projector, sigmas: Arc::clone(sigmas), expected };
     Ok(Some(Arc::new(it)))
 }
 
 /// [`Specimens::expected`] of all frames and blocks, from draws of the noise.
-fn noise_left(it: &Specimens, seen: &Observations) -> Vec<Vec<f64>> {
+fn noise_left(projector: &Projector, sigmas: &Sigmas, seen: &Observations) -> Vec<Vec<f64>> {
     let of_frames: Vec<(usize, &Array2<f32>)> =
-        it.sigmas.iter().enumerate().filter_map(|(k, sigma)| Some((k, sigma.as_ref()?))).collect();
+        sigmas.iter().enumerate().filter_map(|(k, sigma)| Some((k, sigma.as_ref()?))).collect();
     let draw = |(k, sigma): (usize, &Array2<f32>), i: usize| {
         let mut rng = stream(0x5eed, "specimen", (DRAWS * k + i) as u64);
         sigma.mapv(|s| {
@@ -127,7 +126,7 @@ fn noise_left(it: &Specimens, seen: &Observations) -> Vec<Vec<f64>> {
         })
     };
     let mut drawn: Vec<Array2<f32>> = of_frames.iter().flat_map(|of| (0..DRAWS).map(|i| draw(*of, i))).collect();
-    it.remove(&mut drawn.iter_mut().collect::<Vec<_>>());
+    projector.remove(&mut drawn.iter_mut().collect::<Vec<_>>());
     let mut expected = vec![Vec::new(); seen.frames.len()];
     for ((k, sigma), drawn) in of_frames.into_iter().zip(drawn.chunks_exact(DRAWS)) {
         let left = |span: &std::ops::Range<usize>| {

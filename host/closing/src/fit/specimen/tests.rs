@@ -165,6 +165,25 @@ fn no_specimen_passes_and_noise_loses_what_the_specimen_takes_up() {
 }
 
 #[test]
+fn states_with_the_same_optics_share_what_takes_specimens_out() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let seen = unknown(&instrument, &[], false);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let of = |terms: &[Term]| {
+        let views = probed(&model, terms, &[0], model.window_px).unwrap();
+        model.projectors.of(views, vec![1.0; SENSOR[0] * SENSOR[1]]).unwrap()
+    };
+    let [plain, bent] = [of(&[]), of(&[term("nonlinearity", &[("beta", 0.01)], 3)])];
+    assert!(std::sync::Arc::ptr_eq(&plain, &bent));
+    let moved = of(&[term("array_shift", &[("row_px", 0.3)], 3)]);
+    assert!(!std::sync::Arc::ptr_eq(&plain, &moved));
+    // Nothing stays that no state uses.
+    let before = std::sync::Arc::downgrade(&moved);
+    drop(moved);
+    assert!(before.upgrade().is_none());
+}
+
+#[test]
 fn what_a_wider_choice_of_specimens_takes_of_the_noise_is_no_evidence() {
     let instrument = instrument(OBJECT, SENSOR, 9, 3);
     let mut seen = unknown(&instrument, &[], true);
