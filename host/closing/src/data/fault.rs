@@ -87,6 +87,11 @@ const LEFT_OUT: &str = "With specimens that are estimated from the frames, the v
                         are placed";
 
 impl FaultKind {
+    /// Whether the truths were left out for it, so that no effect was searched for.
+    pub fn is_of_all_truths(&self) -> bool {
+        matches!(self, Self::Misplaced { .. } | Self::MisplacedOneByOne { .. })
+    }
+
     /// How an image is turned or mirrored; empty for faults of another kind.
     pub(crate) fn turn_words(self) -> &'static str {
         match self {

@@ -23,7 +23,9 @@ pub fn faults(c: &Closing) -> Markup {
     html! {
         aside.warn {
             h3 { "The records of the session have faults" }
-            p { "They were corrected before the fit. Correct them in the session as well." }
+            @if !c.faults.iter().any(|f| f.kind.is_of_all_truths()) {
+                p { "They were corrected before the fit. Correct them in the session as well." }
+            }
             ul { @for f in &c.faults { li {
                 b { (words::capital(&f.words())) }
                 span.soft { " " (words::sigma(f.z)) "; correlation with the frame that the record predicts "
@@ -67,6 +69,9 @@ fn opening(c: &Closing) -> Markup {
 
 fn found(c: &Closing) -> Markup {
     let effects: Vec<&Effect> = added(c).collect();
+    if c.faults.iter().any(|f| f.kind.is_of_all_truths()) {
+        return html! { b { "No effect was searched for" } ", since the truths are misplaced. Upper limits are below. " };
+    }
     if effects.is_empty() && !c.nearest.is_empty() {
         return nearest(c);
     }

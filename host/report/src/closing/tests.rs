@@ -227,6 +227,11 @@ fn faults_of_the_record_come_first() {
     assert!(page.starts_with("<aside class=\"warn\">"));
     holds(&page, &["Scene frame 4 shows the object that is recorded for frame 6", "1.2500 times", "321 σ"]);
     assert!(!page.contains("metadata fault"), "faults are reported once");
+    a.closing.effects.truncate(1);
+    a.closing.faults = vec![fault(0, FaultKind::MisplacedOneByOne { rms_px: 0.7 })];
+    let page = render(&a, Asked::Close);
+    holds(&page, &["each elsewhere: 0.70 object pixels", "No effect was searched for"]);
+    assert!(!page.contains("were corrected before the fit") && !page.contains("none of the catalogue"));
 }
 
 #[test]
