@@ -4,7 +4,7 @@ use super::account::{
     Account, Closed, Closing, Verdict, calibration_note, fault, pictured, quiet, registration_notes, registrations,
     within_calibration,
 };
-use super::attempt::{Attempt, Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
+use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, Shown};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
@@ -69,7 +69,10 @@ fn attempts(
         // A curve over time would take a wrong exposure for its own.
         exclude.push("unknown_profile".into());
     }
-    let first = tried(instrument, seen, options, (&exclude, &mut faults), &mut progress)?;
+    let first = match attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, &mut progress)? {
+        Outcome::Ended(first) => first,
+        Outcome::Misplaced(fault) => return without_truths(instrument, seen, options, (faults, fault)),
+    };
     if doubted.is_empty() || first.explains_all() {
         return Ok(first.closed);
     }
@@ -80,31 +83,24 @@ fn attempts(
     }
     exposures::correct_exposures(seen, &wrong);
     faults.extend(wrong);
-    Ok(tried(instrument, seen, options, (options.exclude, &mut faults), &mut progress)?.closed)
+    match attempt(instrument, seen, options, Given { exclude: options.exclude, faults: &faults }, &mut progress)? {
+        Outcome::Ended(second) => Ok(second.closed),
+        Outcome::Misplaced(fault) => without_truths(instrument, seen, options, (faults, fault)),
+    }
 }
 
-/// An attempt. Where the truths are misplaced, though the views agree without them, they are left out, and the session
-/// is judged as it is: a search would find what they would show better once they are corrected.
-fn tried(
+/// Leaves misplaced truths out, where the views agree without them, and judges the session as it is: a search would find
+/// what the truths show better once they are corrected.
+fn without_truths(
     instrument: &Instrument,
     seen: &mut Observations,
     options: &CloseOptions<'_>,
-    (exclude, faults): (&[String], &mut Vec<Fault>),
-    progress: &mut impl FnMut(&str),
-) -> Result<Attempt, CloseError> {
-    let mut judge_only = false;
-    loop {
-        match attempt(instrument, seen, options, Given { exclude, faults, judge_only }, progress)? {
-            Outcome::Ended(it) => return Ok(*it),
-            // It ends: truths that were left out are not misplaced.
-            Outcome::Misplaced(fault) => {
-                seen.forget_truths();
-                estimate_specimens(instrument, seen);
-                faults.push(fault);
-                judge_only = true;
-            }
-        }
-    }
+    (mut faults, misplaced): (Vec<Fault>, Fault),
+) -> Result<Closed, CloseError> {
+    seen.forget_truths();
+    estimate_specimens(instrument, seen);
+    faults.push(misplaced);
+    Ok(Closed { instrument: instrument.clone(), account: judged(instrument, seen, faults, options)? })
 }
 
 /// Measures the residual of a session and tests it, without a search for effects: the account has the same figures
@@ -124,7 +120,16 @@ pub fn residual(
     let [mut faults, doubted] = wrong_records(instrument, seen)?;
     exposures::correct_exposures(seen, &doubted);
     faults.extend(doubted);
-    let seen = &*seen;
+    judged(instrument, seen, faults, options)
+}
+
+/// The account of a session without a search, with the faults of its records that were corrected.
+fn judged(
+    instrument: &Instrument,
+    seen: &Observations,
+    faults: Vec<Fault>,
+    options: &CloseOptions<'_>,
+) -> Result<Account, CloseError> {
     let model = Model::new(instrument, seen)?;
     let fit = refit(&model, model.state(instrument)?)?;
     let replicas = replicas(&model, instrument, &fit.state)?;

@@ -17,8 +17,6 @@ pub(crate) struct Given<'a> {
     pub(crate) exclude: &'a [String],
     /// Faults of the records, which were corrected.
     pub(crate) faults: &'a [Fault],
-    /// Whether the session is judged and nothing is searched for.
-    pub(crate) judge_only: bool,
 }
 
 /// The first fit of a session, and what later ones are judged by.

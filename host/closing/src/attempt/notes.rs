@@ -93,11 +93,11 @@ fn sharper_note(found: &[Term]) -> Option<String> {
 /// What agrees where the truths do not.
 fn views_note(chi2: f64) -> String {
     format!(
-        "the frames contradict their truths, and not the optics: with specimens that are estimated from the frames, the \
-         views behind the lenses agree with one another under the instrument as it was calibrated (chi-squared per \
-         pixel {chi2:.3}). Either the truths are wrong (their resolution, their light, a specimen that has changed \
-         since), or something acts on all views alike, such as light or blur that belongs to the specimen. Without \
-         `truth` in the stack, the rest of the optics is tested all the same"
+        "the frames contradict their truths, and the views behind the lenses hardly contradict one another: with \
+         specimens that are estimated from the frames, under the instrument as it was calibrated, chi-squared per pixel \
+         is {chi2:.3}. Either the truths are wrong (their resolution, their light, a specimen that has changed since), \
+         or something acts on all views alike, such as light or blur that belongs to the specimen, or a displacement of \
+         the array. Without `truth` in the stack, the rest of the optics is tested all the same"
     )
 }
 

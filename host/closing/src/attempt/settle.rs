@@ -75,20 +75,17 @@ pub(super) fn settle(
     let lost = lost(model, &basis.before)?;
     search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, model.seen)).transpose()?;
-    match given.judge_only {
-        true => search.look(Tried::Catalogue)?,
-        false => search.run(Tried::Catalogue, progress)?,
-    }
+    search.run(Tried::Catalogue, progress)?;
     let mut dependences = match search.found.is_empty() {
         true => basis.dependences.clone(),
         false => basis.dependences_of(&search.now)?,
     };
     let mut rest = std::mem::take(&mut search.rest);
-    let ended = given.judge_only || search.needs_calibration() || search.truths_are_too_blurred();
+    let ended = search.needs_calibration() || search.truths_are_too_blurred();
     let mut views = None;
     // Truths that are placed one by one are placed already.
     let one_by_one = model.seen.registrations.iter().any(|r| r.frame.is_some() && r.sigma_px > 0.0);
-    let open = !given.judge_only && !one_by_one && !search.needs_calibration();
+    let open = !one_by_one && !search.needs_calibration();
     if open && structured(&dependences) && basis.excess(&search.now).is_much() {
         progress("views without truths");
         let known = figures(model, &basis.before).chi2_ndf;

@@ -35,8 +35,6 @@ pub(super) struct Views {
     /// Where each of them lies.
     each: Vec<Placement>,
     grid: Grid,
-    /// Number of object pixels.
-    pixels: usize,
     /// Index of the first of their frames in its stack.
     first: usize,
 }
@@ -80,9 +78,8 @@ impl Views {
         let all: Vec<_> = pairs.iter().map(|(_, pair)| *pair).collect();
         let each = all.iter().filter_map(|pair| placement(&[*pair])).collect();
         let first = pairs.first().map_or(0, |(frame, _)| *frame);
-        let pixels = all.first().map_or(0, |[truth, _]| truth.len());
         let chi2 = figures(&model, &fit).chi2_ndf;
-        let found = placement(&all).map(|together| Self { chi2, together, each, grid: model.grid, pixels, first });
+        let found = placement(&all).map(|together| Self { chi2, together, each, grid: model.grid, first });
         tracing::info!("views: {found:?}");
         Ok(found)
     }
@@ -106,7 +103,7 @@ impl Views {
         let fault = |kind, left: f64| Fault {
             frame: self.first,
             kind,
-            z: fisher(correlation(self.together.apart), correlation(left), self.pixels),
+            z: fisher(correlation(self.together.apart), correlation(left), self.together.pixels),
             correlation_before: correlation(self.together.apart),
             correlation_after: correlation(left),
         };

@@ -6,9 +6,11 @@
 //! and level b are free in each frame. Both images are blurred before, so that their resolution does not matter.
 
 use crate::fit::pseudo_inverse;
+use crate::fit::record::median;
 use crate::fit::truth::{PARTS, Registered};
 use ndarray::{Array1, Array2};
 use ommatidia_physics::effects::{blur_within, displacement_px};
+use std::f64::consts::PI;
 
 /// Images are blurred so far, pixels.
 const SMOOTH_PX: f64 = 2.0;
@@ -33,6 +35,8 @@ pub(crate) struct Placement {
     pub(crate) left: f64,
     /// Median over the frames of the share of it that is left after the truths were moved.
     pub(crate) share: f64,
+    /// Number of independent pixels: the blur leaves one of 4 pi sigma^2.
+    pub(crate) pixels: usize,
 }
 
 /// A truth and its specimen, blurred.
@@ -53,12 +57,14 @@ pub(crate) fn placement(pairs: &[[&Array2<f32>; 2]]) -> Option<Placement> {
         .collect();
     let apart = left(&pairs, [0.0; PARTS]);
     let usual = median(apart.clone())?;
+    let all: usize = pairs.iter().map(|p| p.truth.len()).sum();
+    let pixels = (all as f64 / (4.0 * PI * SMOOTH_PX * SMOOTH_PX)) as usize;
     let coarse = displacement_px(pairs.iter().map(|p| [p.specimen.clone(), p.truth.clone()]));
     let placed = |start: [isize; 2]| {
         let parts = converge(&pairs, [start[0] as f64, start[1] as f64, 0.0, 0.0]);
         let left = left(&pairs, parts);
         let shares = left.iter().zip(&apart).map(|(left, apart)| left / apart.max(f64::MIN_POSITIVE)).collect();
-        Some(Placement { parts, apart: usual, left: median(left)?, share: median(shares)? })
+        Some(Placement { parts, apart: usual, left: median(left)?, share: median(shares)?, pixels })
     };
     let starts = [Some([0, 0]), coarse].into_iter().flatten();
     starts.filter_map(placed).min_by(|a, b| a.share.total_cmp(&b.share))
@@ -76,12 +82,6 @@ fn converge(pairs: &[Pair], mut parts: Registered) -> Registered {
         }
     }
     parts
-}
-
-/// The middle of some values; None of none.
-fn median(mut values: Vec<f64>) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
 }
 
 /// For each pixel of a truth that counts its value, that of the specimen at its place, and the derivatives of that along

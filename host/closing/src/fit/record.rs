@@ -356,7 +356,7 @@ pub(super) fn slope(y: &Array2<f32>, on: &Array2<f32>) -> f64 {
 }
 
 /// The middle of some values; None of none.
-pub(super) fn median(mut values: Vec<f64>) -> Option<f64> {
+pub(crate) fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied()
 }

@@ -108,15 +108,6 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
-    /// Computes the candidates, and adds none.
-    ///
-    /// # Errors
-    /// An object holds negative or non-finite light.
-    pub fn look(&mut self, tried: Tried) -> Result<(), ForwardError> {
-        self.rest = self.candidates(tried)?;
-        Ok(())
-    }
-
     /// All candidates with their evidence beside the present state, the best first.
     fn candidates(&self, tried: Tried) -> Result<Vec<Candidate>, ForwardError> {
         let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));

@@ -70,7 +70,7 @@ fn opening(c: &Closing) -> Markup {
 fn found(c: &Closing) -> Markup {
     let effects: Vec<&Effect> = added(c).collect();
     if c.faults.iter().any(|f| f.kind.is_of_all_truths()) {
-        return html! { b { "No effect was searched for" } ", since the truths are misplaced. Upper limits are below. " };
+        return html! { b { "No effect was searched for" } ", since the truths are misplaced. " };
     }
     if effects.is_empty() && !c.nearest.is_empty() {
         return nearest(c);
