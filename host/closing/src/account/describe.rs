@@ -1,7 +1,7 @@
 //! Describes the result of a search: each effect in numbers and words, detection limits of the others, and the
 //! measurements that would distinguish similar effects.
 
-use super::pupils::BY_DEPTH;
+use super::pupils::{BY_DEPTH, between_planes};
 use super::result::{Effect, Rejected, Value};
 use super::verdict::Left;
 use crate::data::{Fault, FaultKind};
@@ -68,8 +68,8 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
         // What flats and darks prove is not in doubt for what the scenes leave.
         by_law(&mut params, term, model.lenses(), if f.proved_by_even_light { 0.0 } else { left.of(f) });
         if BY_DEPTH.contains(&f.id) {
-            let error = model.forward.depth_error();
-            params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error * v.value));
+            let error = |v: f64| (model.forward.depth_error() * v).hypot(between_planes(model, f.id, v));
+            params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error(v.value)));
         }
         let undetermined =
             if f.table_sigma.is_none() { widen_undetermined(&mut params, term, model.lenses()) } else { false };

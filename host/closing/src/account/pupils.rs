@@ -1,11 +1,37 @@
 //! What a depth or a wavefront means that pupils predict from a scan in one plane.
 
 use super::result::Effect;
+use crate::fit::Model;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::psf::pupils::WAVELENGTH_UM;
 
 /// Effects that act by depth.
 pub(super) const BY_DEPTH: [&str; 3] = ["defocus", "field_curvature", "tilt"];
+
+/// Error of a depth between two planes of a scan, relative to its distance from the nearer one: on other simulators, 7
+/// to 10 % in three of four cases and 2 % in one. The PSFs there are those of no scan, but of interpolation.
+const BETWEEN: f64 = 0.08;
+
+/// Standard error of a strength that acts by depth, in its unit, by the depths between the planes of the calibration;
+/// beyond the last plane, that of half a gap. 0: the beads were scanned in one plane.
+pub(super) fn between_planes(model: &Model<'_>, id: &str, value: f64) -> f64 {
+    let planes = model.forward.calibrated_depths_um();
+    let gap = planes.windows(2).map(|w| w[1] - w[0]).fold(0.0, f64::max);
+    if gap <= 0.0 {
+        return 0.0;
+    }
+    if id == "defocus" {
+        let z_um = model.forward.depth_um() + value;
+        let nearest = planes.iter().map(|p| (p - z_um).abs()).fold(f64::INFINITY, f64::min);
+        return BETWEEN * nearest.min(gap / 2.0);
+    }
+    // The specimen has all depths from none to the largest.
+    let largest_um = match id {
+        "tilt" => value.abs() * model.half_side_mm()[0],
+        _ => value.abs() * model.half_side_mm()[1].powi(2),
+    };
+    BETWEEN * value.abs() * (gap / (2.0 * largest_um.max(f64::MIN_POSITIVE))).min(1.0)
+}
 
 /// The note on effects that pupils predict; None: there are none.
 ///

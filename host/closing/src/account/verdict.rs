@@ -3,7 +3,7 @@
 use super::result::{Effect, Nearest, Verdict};
 use crate::evidence::omnibus::significant;
 use crate::evidence::{Constancy, Dependence, Figures};
-use crate::search::{Found, Imitation, NEEDS_CALIBRATION, Shadowed};
+use crate::search::{Found, Imitation, NEEDS_CALIBRATION, SHADOW, Shadowed};
 use ommatidia_model::instrument::Quality;
 use ommatidia_physics::effects::{Stage, find};
 
@@ -205,14 +205,15 @@ pub(crate) fn shadowed(all: &[Shadowed], of: Option<&str>) -> Vec<Nearest> {
         Some(id) => format!("`{id}`, the strongest effect,"),
         None => "the strongest effect, which was taken back,".into(),
     };
-    let one = |s: &Shadowed| Nearest {
-        id: s.id.into(),
-        z: s.z,
-        why: format!(
-            "it explains {:.1} % of what {strongest} explains, no more than a small error in the law of that one would \
-             leave",
-            100.0 * s.share
-        ),
+    let one = |s: &Shadowed| {
+        let beside = if s.share < SHADOW {
+            "no more than a small error in the law of that one would leave".into()
+        } else {
+            let share = 100.0 * SHADOW;
+            format!("and less than {share:.0} % of what nothing explains: an error of the calibration may look like it")
+        };
+        let why = format!("it explains {:.1} % of what {strongest} explains, {beside}", 100.0 * s.share);
+        Nearest { id: s.id.into(), z: s.z, why }
     };
     all.iter().filter(|s| !s.id.starts_with("unknown") && s.share >= LISTED).map(one).collect()
 }

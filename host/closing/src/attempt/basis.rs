@@ -3,9 +3,9 @@
 use crate::account::{Excess, Left, within_calibration};
 use crate::data::Fault;
 use crate::evidence::{
-    Constancy, Dependence, JudgedOn, excess, excess_by_calibration, figures, omnibus, standing_alone,
+    Constancy, Dependence, JudgedOn, excess, excess_by_calibration, figures, omnibus, standing_alone, surely_worse,
 };
-use crate::fit::{Design, Fitted, Model, Replicas, Scope, fitted_columns, refit, replicas};
+use crate::fit::{Design, Fitted, Model, Replicas, Scope, State, fitted_columns, own_columns, refit, replicas};
 use crate::options::CloseError;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
@@ -27,7 +27,9 @@ pub(super) struct Basis<'m> {
     pub seed: u64,
     /// Number of terms that belong to the instrument.
     pub own: usize,
-    /// The first fit.
+    /// The fit with all effects of the instrument as they are in its file.
+    pub unchanged: Fitted,
+    /// The first fit: the same, or with these effects fitted as well where they have changed.
     pub before: Fitted,
     /// The structure that tests see in it.
     pub dependences: Vec<Dependence>,
@@ -45,7 +47,8 @@ impl<'m> Basis<'m> {
     pub fn of(instrument: &'m Instrument, model: &'m Model<'m>, seed: u64) -> Result<Self, CloseError> {
         let start = model.state(instrument)?;
         let own = start.terms.len();
-        let before = refit(model, start)?;
+        let unchanged = refit(model, unchanged(instrument, start.clone()))?;
+        let before = fitted_again(model, start, &unchanged)?;
         let replicas = replicas(model, instrument, &before.state)?;
         let errors = replicas.of(model, &before)?;
         let judged_on = JudgedOn::of(model.seen);
@@ -53,7 +56,19 @@ impl<'m> Basis<'m> {
         let by_calibration = both.map(|on| excess_by_calibration(model, &before, &errors, on));
         let dependences = omnibus::test(model, &before, &errors, seed);
         let first = both.map(|on| excess(model, &before, on));
-        Ok(Self { instrument, model, seed, own, before, dependences, replicas, judged_on, first, by_calibration })
+        Ok(Self {
+            instrument,
+            model,
+            seed,
+            own,
+            unchanged,
+            before,
+            dependences,
+            replicas,
+            judged_on,
+            first,
+            by_calibration,
+        })
     }
 
     /// The structure that tests see in a fit.
@@ -96,4 +111,20 @@ impl<'m> Basis<'m> {
         let design = Design::compute(model, fit.expansion(&[]), columns, &errors, Scope::Training)?;
         Ok((self.own..fit.state.terms.len()).map(|t| Constancy::of(model, fit, &design, t)).collect())
     }
+}
+
+/// A state in which all effects of the instrument stay as they are.
+fn unchanged(instrument: &Instrument, state: State) -> State {
+    State { held: instrument.effects.iter().map(|e| e.id.clone()).collect(), ..state }
+}
+
+/// The fit in which the effects of the instrument are free, where it predicts held-out data better than `unchanged`.
+fn fitted_again(model: &Model<'_>, start: State, unchanged: &Fitted) -> Result<Fitted, ForwardError> {
+    let held = &unchanged.state;
+    if own_columns(model, &State { held: start.held.clone(), ..held.clone() }) == own_columns(model, held) {
+        return Ok(unchanged.clone());
+    }
+    let free = refit(model, State { held: start.held, ..held.clone() })?;
+    let better = free.held_out.deviance < unchanged.held_out.deviance && !surely_worse(model, unchanged, &free);
+    Ok(if better { free } else { unchanged.clone() })
 }

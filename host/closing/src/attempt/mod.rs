@@ -4,6 +4,7 @@
 //! that show whether the truths are wrong, `report` says what was found, with the sentences of `notes`.
 
 mod basis;
+mod changed;
 mod notes;
 mod report;
 mod settle;

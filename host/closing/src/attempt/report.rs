@@ -1,6 +1,7 @@
 //! Says what a search found.
 
 use super::basis::{Basis, Given};
+use super::changed::changed;
 use super::notes::{Said, background_notes, held_out_blocks, held_out_frames, notes, own_beads};
 use super::settle::Settled;
 use crate::account::{
@@ -44,15 +45,16 @@ pub(super) fn report(
     let Basis { instrument, model, own, judged_on, .. } = *basis;
     let Settled { now, closed, found, .. } = &settled;
     let seen = model.seen;
-    let [before, after] = compared(model, &basis.before, closed);
+    let [before, after] = compared(model, &basis.unchanged, closed);
     let mut names = names(basis, &settled, given);
+    names.effects.extend(changed(basis, &settled)?);
     let verdict = verdict(basis, &settled, &names);
     if verdict == Verdict::NotThisModel {
         names.disown(settled.recalibrated);
     }
     let curves = curves(model, now, own)?;
     let own_beads = own_beads(seen, options.calibrated_on);
-    let without = names.left_much.then_some(&basis.before);
+    let without = names.left_much.then_some(&basis.unchanged);
     let registrations = registrations(model, now, without, &basis.replicas)?;
     let said = Said { names: &names, verdict, after, curves: &curves, registrations: &registrations, own_beads };
     let notes = notes(basis, &settled, &said)?;
@@ -88,7 +90,7 @@ pub(super) fn report(
         progress("which measurement next");
         closing.plan = Some(plan(model, &planned(basis, &settled, &closing))?);
     }
-    let mut account = pictured(model, &basis.before, closed, closing);
+    let mut account = pictured(model, &basis.unchanged, closed, closing);
     account.closing.notes.extend(background_notes(model, &now.state));
     let closed = Closed { instrument: with_effects(instrument, model, &closed.state), account };
     Ok(Attempt { closed, state: settled.now.state })
@@ -103,7 +105,7 @@ fn left(basis: &Basis<'_>, settled: &Settled) -> Left {
 fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
     let Settled { now, found, tests, .. } = settled;
     let (own, left) = (basis.own, left(basis, settled));
-    let findings = Findings { before: &basis.before, now, own, found, tests, left };
+    let findings = Findings { before: &basis.unchanged, now, own, found, tests, left };
     let mut effects = effects(basis.model, findings, given.faults);
     effects.iter_mut().filter(|e| settled.unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
     let of_truths = |e: &&mut Effect| find(&e.id).is_some_and(|effect| effect.is_of_truths());

@@ -4,7 +4,7 @@ use super::lamp;
 use super::model::Model;
 use super::state::{Column, Predicted, State, Term};
 use super::truth::STEP_PX;
-use super::wings::spread;
+use super::wings;
 use crate::data::Shown;
 use ndarray::Array2;
 use ommatidia_model::forward::{ForwardError, SceneLight};
@@ -190,14 +190,17 @@ impl Model<'_> {
         Some((self.dn(k, light, &chain, previous, state.black_dn) - &here.dn) / step as f32)
     }
 
-    /// Derivative with respect to the light of a ring outside the windows, DN per unit of its standard uncertainty.
+    /// Derivative with respect to the light of a ring outside the windows, or to a slope of it, DN per unit of its
+    /// standard uncertainty.
     fn wing_derivative(&self, k: usize, ring: usize, at: Expansion<'_>) -> Option<Array2<f32>> {
         let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
-        let (inner, outer, share) = *self.rings.get(ring).filter(|_| matches!(f.shown, Shown::Object(_)))?;
+        if !matches!(f.shown, Shown::Object(_)) {
+            return None;
+        }
         // A hundredth of the light, far above rounding errors: the frames are nearly linear in it.
-        let mut wings_e = spread(&here.sum_e, inner, outer) * 0.01;
+        let step = 0.01 / self.rings.get(ring).or(self.rings.first())?.2.max(f64::MIN_POSITIVE);
+        let mut wings_e = wings::piece(&here.sum_e, &self.rings, ring)? * step as f32;
         here.wings_e.iter().for_each(|now| wings_e += now);
-        let step = 0.01 / share.max(f64::MIN_POSITIVE);
         let (state, chain) = (at.state, self.chain_of(k, &at.state.terms));
         let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());
         let light = self.lit_with(k, (here.sum_e.clone(), Some(&wings_e)), state, (&chain, previous));

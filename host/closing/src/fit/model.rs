@@ -28,6 +28,25 @@ const MOST_PSF_ERROR: f64 = 0.05;
 /// Own defocus of the lenses that their pupils misjudge: fitted beside effects on the wavefront, and never a cause.
 pub(crate) const PUPIL_DEFOCUS: &str = "pupil_defocus";
 
+/// Levels of flats that determine the bend of a response.
+const LEVELS: usize = 3;
+
+/// Whether the flats show how the signal grows with the light. Scenes alone do not: what is wrong in the optics is wrong
+/// where they are bright.
+fn shows_response(seen: &Observations) -> bool {
+    let flats = seen.frames.iter().filter(|f| f.shown == Shown::Even);
+    let mut doses: Vec<f64> = flats.map(|f| f.info.exposure_ms * f.info.illumination).collect();
+    doses.sort_by(f64::total_cmp);
+    doses.dedup();
+    doses.len() >= LEVELS
+}
+
+/// Ids of the effects of an instrument that bend the response of its sensor.
+fn bends(instrument: &Instrument) -> Vec<String> {
+    let ids = instrument.effects.iter().map(|e| e.id.clone());
+    ids.filter(|id| find(id).is_some_and(|effect| effect.bends_noise())).collect()
+}
+
 /// An instrument and the frames of a session.
 pub struct Model<'a> {
     /// The forward model of the instrument without its effects.
@@ -48,6 +67,8 @@ pub struct Model<'a> {
     pub(crate) coarse_error: f64,
     /// Exposure of the calibration, ms.
     pub(crate) exposure_ms: f64,
+    /// Half of the longer side of the object, mm: on the object, and in its image.
+    half_side_mm: [f64; 2],
     /// Rows and columns of the windows of the basis PSFs.
     pub(super) window_px: usize,
     /// Rings outside the windows whose light is fitted.
@@ -79,6 +100,8 @@ impl<'a> Model<'a> {
             psf_error: quality.off_grid_excess().min(MOST_PSF_ERROR),
             coarse_error: if quality.is_coarse() { quality.off_grid_excess() } else { 0.0 },
             exposure_ms: instrument.psf.exposure_ms,
+            half_side_mm: [instrument.manifest.object.pixel_um, instrument.manifest.sensor.pixel_pitch_um]
+                .map(|um| 5e-4 * um * instrument.manifest.object.rows.max(instrument.manifest.object.cols) as f64),
             window_px: instrument.psf.basis.dim().2,
             rings: wings::fitted(seen, instrument.psf.basis.dim().2 / 2, quality.outside_window),
             sigmas: OnceLock::new(),
@@ -95,6 +118,11 @@ impl<'a> Model<'a> {
     /// Whether the light of any frame is known, an object, a bead, or even light, or estimated.
     pub fn sees_known_light(&self) -> bool {
         !self.seen.frames.iter().all(|f| matches!(f.shown, Shown::Dark | Shown::Unknown))
+    }
+
+    /// Half of the longer side of the object, mm: on the object, and in its image.
+    pub(crate) fn half_side_mm(&self) -> [f64; 2] {
+        self.half_side_mm
     }
 
     /// Number of lenses.
@@ -140,9 +168,10 @@ impl<'a> Model<'a> {
             black_dn: 0.0,
             background_e: vec![[0.0; 3]; stacks],
             lamp: [0.0; lamp::TERMS],
-            wings: vec![0.0; self.rings.len()],
+            wings: vec![0.0; wings::values(&self.rings)],
             registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
             specimens: None,
+            held: if shows_response(self.seen) { Vec::new() } else { bends(instrument) },
         })
     }
 

@@ -17,7 +17,7 @@ pub(super) fn cell(model: &Model<'_>, state: &State, columns: &[Column], replica
     let truths = groups.filter(|(_, (group, _))| group.sigma_px > 0.0).flat_map(|(g, (group, values))| {
         (0..PARTS).map(move |part| (Column::Registration(g, part), values[part], group.sigma_px))
     });
-    let wings = model.rings.iter().zip(&state.wings).enumerate().map(|(i, (_, value))| (Column::Wing(i), *value, 1.0));
+    let wings = state.wings.iter().enumerate().map(|(i, value)| (Column::Wing(i), *value, 1.0));
     let all: Vec<(Column, f64, f64)> = truths.chain(wings).chain(pupils(model, state, columns)).collect();
     if all.is_empty() {
         return None;

@@ -81,7 +81,8 @@ pub fn own_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
     let cx = model.forward.context();
     for (term, t) in state.terms.iter().enumerate() {
         let hidden = t.id() == PUPIL_DEFOCUS && !model.forward.changes_wavefronts(&model.chain(&state.terms), &cx);
-        if t.effect.descriptor().stage == Stage::Record || t.table.is_some() || hidden {
+        let held = state.held.iter().any(|id| id == t.id());
+        if t.effect.descriptor().stage == Stage::Record || t.table.is_some() || hidden || held {
             continue;
         }
         columns.extend(t.free(model.lenses()).into_iter().map(|param| Column::Own { term, param }));

@@ -116,13 +116,15 @@ pub struct State {
     pub background_e: Vec<Slopes>,
     /// The light of the flats' lamp over the sensor.
     pub lamp: Lamp,
-    /// Light in the rings outside the windows of the calibration (`wings`), each in units of its standard
-    /// uncertainty; it is fitted where objects are known, within its range (`wings`).
+    /// Light in the rings outside the windows of the calibration, and its slopes over the sensor (`wings`), each in units
+    /// of its standard uncertainty; they are fitted where objects are known, within their ranges.
     pub wings: Vec<f64>,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
     pub registration: Vec<Registered>,
     /// The specimens of frames of [`crate::data::Shown::Estimated`]; None: not estimated yet, or there are none.
     pub specimens: Option<Arc<Specimens>>,
+    /// Ids of effects of the instrument that stay as they are.
+    pub held: Vec<String>,
 }
 
 impl State {
@@ -174,7 +176,7 @@ pub enum Column {
     Background(usize, usize),
     /// Shape of the lamp, by the index of its value ([`super::lamp`]).
     Lamp(usize),
-    /// Light of a ring outside the windows of the calibration, by its index.
+    /// Light of a ring outside the windows of the calibration, or a slope of it, by its index.
     Wing(usize),
     /// Registration of truths, by its index: one of the four values of [`Registered`].
     Registration(usize, usize),

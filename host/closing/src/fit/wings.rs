@@ -11,6 +11,10 @@
 //! uncertainty as their prior: an observation "0 +- 1" of each share in units of that uncertainty. Frames outweigh that
 //! prior, so each share has a range as well ([`range`]): what no calibration could have missed is not its error, but an
 //! effect. Elsewhere the shares are errors of the calibration alone ([`super::replicas`]).
+//!
+//! Aberrations grow over the field, and their tails do. So the light outside may differ over the sensor as well: along
+//! the rows, along the columns, and with the square of the distance from the centre. These three slopes are nuisances of
+//! the same kind. Without them, tails that are brighter far from the axis would pass for a vignetting below zero.
 
 use super::state::{Column, State};
 use crate::data::{Observations, Shown};
@@ -27,13 +31,26 @@ const LEAST: f64 = -1.0;
 /// follows, is known from noisy frames, and differs over the field.
 const MARGIN: f64 = 1.5;
 
+/// Number of slopes: along the rows, along the columns, and with the square of the distance from the centre.
+const SLOPES: usize = 3;
+/// Standard uncertainty of a slope: the change of the light outside the windows from the centre to the edge of the
+/// sensor, relative to the stated light.
+const UNEVEN: f64 = 0.5;
+/// Largest slope of either sign, in standard uncertainties: the stated light twice, or none.
+const STEEPEST: f64 = 2.0;
+
 /// A ring round the window of a focus: half sides from and to, px, and the standard uncertainty of the share of light
 /// in it.
 pub(crate) type Ring = (usize, usize, f64);
 
-/// The columns of the rings whose light is fitted.
+/// Number of values that are fitted: the light of each ring, then the slopes.
+pub(super) fn values(fitted: &[Ring]) -> usize {
+    if fitted.is_empty() { 0 } else { fitted.len() + SLOPES }
+}
+
+/// The columns of the rings and slopes that are fitted.
 pub(super) fn columns(fitted: &[Ring]) -> impl Iterator<Item = Column> {
-    (0..fitted.len()).map(Column::Wing)
+    (0..values(fitted)).map(Column::Wing)
 }
 
 /// The rings whose light is fitted: none where no object is known.
@@ -47,7 +64,42 @@ pub(super) fn light(image: &Array2<f32>, rings: &[Ring], state: &State) -> Optio
     let lit = rings.iter().zip(&state.wings).filter(|(_, v)| **v != 0.0);
     let squares: Vec<Square> =
         lit.flat_map(|((inner, outer, share), value)| squares(*inner, *outer, share * value)).collect();
-    (!squares.is_empty()).then(|| summed(image, &squares))
+    let light = (!squares.is_empty()).then(|| summed(image, &squares));
+    let slopes = state.wings.get(rings.len()..).unwrap_or_default();
+    if slopes.iter().all(|v| *v == 0.0) {
+        return light;
+    }
+    let mut uneven = stated(image, rings);
+    uneven.indexed_iter_mut().for_each(|(at, v)| {
+        let shape = slope_shapes(image.dim(), at);
+        *v *= slopes.iter().zip(shape).map(|(value, shape)| value * UNEVEN * shape).sum::<f64>() as f32;
+    });
+    Some(light.map_or_else(|| uneven.clone(), |light| light + &uneven))
+}
+
+/// Light in the unit of an image that one standard uncertainty of value `i` ([`columns`]) adds. None: there is no such
+/// value.
+pub(super) fn piece(image: &Array2<f32>, rings: &[Ring], i: usize) -> Option<Array2<f32>> {
+    if let Some((inner, outer, share)) = rings.get(i) {
+        return Some(spread(image, *inner, *outer) * *share as f32);
+    }
+    let slope = i.checked_sub(rings.len()).filter(|s| *s < SLOPES && !rings.is_empty())?;
+    let mut light = stated(image, rings);
+    light.indexed_iter_mut().for_each(|(at, v)| *v *= (UNEVEN * slope_shapes(image.dim(), at)[slope]) as f32);
+    Some(light)
+}
+
+/// The stated light outside the windows, in the unit of an image.
+fn stated(image: &Array2<f32>, rings: &[Ring]) -> Array2<f32> {
+    let all: Vec<Square> = rings.iter().flat_map(|(inner, outer, share)| squares(*inner, *outer, *share)).collect();
+    summed(image, &all)
+}
+
+/// The shapes of the slopes at a pixel: from -1 to 1 along each axis, and from 0 to 1 from the centre to the corners.
+fn slope_shapes((rows, cols): (usize, usize), (r, c): (usize, usize)) -> [f64; SLOPES] {
+    let along = |i: usize, n: usize| 2.0 * i as f64 / (n as f64 - 1.0).max(1.0) - 1.0;
+    let (y, x) = (along(r, rows), along(c, cols));
+    [y, x, 0.5 * (y * y + x * x)]
 }
 
 /// Rings round the window of a focus.
@@ -60,13 +112,16 @@ pub(super) fn rings(half: usize, outside: f64) -> Vec<Ring> {
     (0..RINGS).map(|i| (half << i, half << (i + 1), share(i))).collect()
 }
 
-/// Least and largest value of the share of ring `i`, in units of its standard uncertainty.
+/// Least and largest value of the share of ring `i`, or of a slope, in units of its standard uncertainty.
 ///
 /// No optics throws light whose brightness falls more slowly than the cube of the distance (the edge of a pupil, see
 /// [`ommatidia_model::bead::Extent::outside`]). By that law all rings hold twice as much as by the fourth power, of
 /// which the stated uncertainty is one over the root of three; half of it lies in the first ring, and half as much as
 /// in each in the next.
 pub(super) fn range(i: usize) -> [f64; 2] {
+    if i >= RINGS as usize {
+        return [-STEEPEST, STEEPEST];
+    }
     let [slowest, stated] = [2.0 * 3f64.sqrt() * 0.5f64.powi(i as i32 + 1), 0.75 * 0.25f64.powi(i as i32)];
     [LEAST, MARGIN * slowest / stated]
 }
@@ -152,6 +207,21 @@ mod tests {
         let falls = f64::from(out[[20, 25]] / out[[20, 27]]);
         let expected = (1.0 / 49.0 - 1.0 / 81.0) / 32.0 / ((1.0 / 121.0 - 1.0 / 169.0) / 48.0);
         assert!((falls / expected - 1.0).abs() < 1e-3, "{falls} {expected}");
+    }
+
+    #[test]
+    fn slopes_move_the_stated_light_over_the_sensor() {
+        let (image, rings) = (Array2::from_elem((61, 61), 2.0f32), rings(4, 0.02));
+        let light = stated(&image, &rings);
+        // Far from the edges, where all of the light of the first ring arrives.
+        assert!((f64::from(light[[30, 30]]) / 2.0 - 0.02).abs() < 2e-3, "{}", light[[30, 30]]);
+        let by_radius = piece(&image, &rings, 5).unwrap();
+        assert!(by_radius[[30, 30]].abs() < 1e-9);
+        assert!((by_radius[[0, 0]] / light[[0, 0]] - 0.5).abs() < 1e-5);
+        let along_rows = piece(&image, &rings, 3).unwrap();
+        assert!((along_rows[[60, 7]] / light[[60, 7]] - 0.5).abs() < 1e-5);
+        assert!(piece(&image, &rings, 6).is_none() && piece(&image, &[], 0).is_none() && values(&[]) == 0);
+        assert_eq!(range(5), [-2.0, 2.0]);
     }
 
     #[test]

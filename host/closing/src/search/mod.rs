@@ -25,6 +25,7 @@ pub(crate) use prune::{Pruned, prune};
 pub(crate) use recalibrate::calibration_of;
 pub use recalibrate::{held_out_figures, trial_calibration};
 pub(crate) use scoring::score;
+pub(crate) use select::SHADOW;
 pub use select::Search;
 pub use trials::{NEEDS_CALIBRATION, Tried};
 pub(crate) use trials::{evidence, is_laplacian};

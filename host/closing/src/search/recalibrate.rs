@@ -7,6 +7,7 @@ use crate::evidence::{Figures, figures};
 use crate::fit::{Model, refit};
 use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::find;
 use ommatidia_physics::noise::NoiseConfig;
 use ommatidia_session::{Role, Session, SessionError};
 
@@ -34,7 +35,7 @@ pub fn trial_calibration(
 }
 
 /// Calibrates on a session of the instrument `before`. What the session does not show of the sensor (the noise without
-/// flats and darks, the maps without the frames that they are measured on) stays as it was.
+/// flats and darks, the maps and the bend of the response without the frames that they are measured on) stays as it was.
 ///
 /// # Errors
 /// The session cannot be read or calibrated.
@@ -54,6 +55,9 @@ pub(crate) fn calibration_of(
     if !darks {
         (it.offset_dn, it.reading_dn2) = (before.offset_dn.clone(), before.reading_dn2.clone());
         it.quality.maps.offset_dn = before.quality.maps.offset_dn;
+    }
+    if !flats {
+        it.effects = before.effects.iter().filter(|e| find(&e.id).is_some_and(|e| e.bends_noise())).cloned().collect();
     }
     if !(darks && flats) {
         it.response = before.response.clone();

@@ -9,14 +9,17 @@ use super::trials::{NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
 use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
-use crate::fit::{Column, Design, Errors, Fitted, Model, Predicted, Replicas, Scope, Term, fitted_columns, refit_from};
+use crate::fit::{
+    Column, Design, Errors, Fitted, Misfit, Model, Predicted, Replicas, Scope, Term, fitted_columns, refit_from,
+};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::find;
 
 /// Family-wise error rate: probability that an effect is significant although the model is complete (Holm).
 pub const ALPHA: f64 = 0.02;
 /// The law of an effect describes a real change only in part: about this share of what a strong effect explains
-/// remains, in the form of its neighbours in law. An effect that gains less beside it is not named.
+/// remains, in the form of its neighbours in law. The same share of what is left unexplained may have the form of any
+/// one effect. An effect that gains less beside a strong one is not named.
 pub const SHADOW: f64 = 0.03;
 /// Number of effects in the shadow of a stronger one that are listed; after so many full fits of such a search ends.
 const SHADOWED: usize = 3;
@@ -155,7 +158,7 @@ impl<'m, 'a> Search<'m, 'a> {
             };
             let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
             // The score of an effect in the shadow shows that already; its full fit would only take time.
-            let floor = SHADOW * self.strongest_fall;
+            let floor = SHADOW * self.cast_by(self.strongest_fall, self.now.training);
             let (able, faint): (Vec<&Candidate>, Vec<&Candidate>) =
                 able.partition(|c| !c.can_be_shadowed(pixels) || c.gain() >= floor);
             let mut finalists = finalists(&able);
@@ -178,7 +181,8 @@ impl<'m, 'a> Search<'m, 'a> {
             let verdict = FullFits { model: self.model, now: &self.now }.confirm(&finalists, &mut fits, progress)?;
             match self.or_calibration(verdict, candidates)? {
                 Verdict::Added(it)
-                    if it.candidate.can_be_shadowed(pixels) && it.gain < SHADOW * self.strongest_gain() =>
+                    if it.candidate.can_be_shadowed(pixels)
+                        && it.gain < SHADOW * self.cast_by(self.strongest_gain(), self.now.held_out) =>
                 {
                     refused.in_vain += 1;
                     let share = it.gain / self.strongest_gain();
@@ -222,6 +226,13 @@ impl<'m, 'a> Search<'m, 'a> {
         }
         let beads = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Bead(_)) && !f.held_out).count();
         FEIGNED * (beads * seen.pixels.len()) as f64
+    }
+
+    /// What casts a shadow on weaker effects: what the strongest effect explains, or, beside one, the excess that is left
+    /// where that is more. The law of an effect and the PSFs of a calibration err by a small part each, and what they
+    /// leave has the form of small changes. 0 without an effect: the first one stands beside nothing.
+    fn cast_by(&self, strongest: f64, now: Misfit) -> f64 {
+        if strongest > 0.0 { strongest.max(now.chi2 - now.pixels) } else { 0.0 }
     }
 
     /// Whether as many terms of a family were added as may be.

@@ -4,6 +4,7 @@
 
 mod kinds;
 mod lamp;
+mod own;
 mod registration;
 mod truths;
 
@@ -73,9 +74,14 @@ fn closed(session: &Session) -> Closing {
 
 /// Closes the loop on a session, and prints what was found.
 fn accounted(session: &Session) -> Account {
+    accounted_by(&subject().instrument, session)
+}
+
+/// As [`accounted`], by another instrument.
+fn accounted_by(instrument: &Instrument, session: &Session) -> Account {
     let mut seen = Observations::read(session, &Budget::default()).unwrap();
     let options = CloseOptions { seed: 1, ..CloseOptions::default() };
-    let account = close(&subject().instrument, &mut seen, &options, |_| ()).unwrap().account;
+    let account = close(instrument, &mut seen, &options, |_| ()).unwrap().account;
     let closing = &account.closing;
     for e in &closing.effects {
         eprintln!("{} (z = {:.1}): {}", e.id, e.z, e.description);

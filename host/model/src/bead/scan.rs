@@ -3,7 +3,7 @@
 use super::BeadError;
 use crate::slopes::{Slopes, slope_terms};
 use ndarray::Array2;
-use ommatidia_physics::noise::NoiseModel;
+use ommatidia_physics::noise::{Bend, NoiseModel};
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::{Cut, FrameReader, Manifest, Role, Session};
 use std::path::{Path, PathBuf};
@@ -37,17 +37,19 @@ pub struct BeadScan {
     readers: Vec<FrameReader>,
     maps: SensorMaps,
     noise: NoiseModel,
+    bend: Option<Bend>,
     /// Level and slopes that are taken off each frame, DN; empty: nothing.
     background_dn: Vec<Slopes>,
 }
 
 impl BeadScan {
-    /// Opens the bead stacks of a session.
+    /// Opens the bead stacks of a session. Frames are corrected by `maps`, and made linear where the response has a
+    /// `bend`.
     ///
     /// # Errors
     /// There is no bead stack, too few frames, an exposure of zero, a map has another shape than the sensor, or the
     /// object grid does not match the sensor's.
-    pub fn open(session: &Session, noise: NoiseModel, maps: SensorMaps) -> Result<Self, BeadError> {
+    pub fn open(session: &Session, noise: NoiseModel, maps: SensorMaps, bend: Option<Bend>) -> Result<Self, BeadError> {
         let manifest = session.manifest();
         check_grid(manifest)?;
         maps.check([manifest.sensor.rows, manifest.sensor.cols])?;
@@ -79,7 +81,7 @@ impl BeadScan {
         if beads.len() < FEWEST {
             return Err(BeadError::TooFew { path: paths.swap_remove(0), expected: FEWEST, found: beads.len() });
         }
-        Ok(Self { beads, exposure_ms, paths, readers, maps, noise, background_dn: Vec::new() })
+        Ok(Self { beads, exposure_ms, paths, readers, maps, noise, bend, background_dn: Vec::new() })
     }
 
     /// The file of bead `n`.
@@ -127,6 +129,9 @@ impl BeadScan {
         let cut = Cut::of(&frame);
         let (black, top) = (self.noise.black_level_dn as f32, self.noise.saturation_dn as f32);
         frame.mapv_inplace(|v| if v >= top { f32::NAN } else { v - black });
+        if let Some(bend) = self.bend {
+            frame.mapv_inplace(|v| bend.straight(f64::from(v)) as f32);
+        }
         self.maps.correct(frame.view_mut());
         if let Some(unusable) = &self.maps.unusable {
             bridge(&mut frame, unusable);

@@ -99,6 +99,7 @@ impl Calibration {
             "light_unit": i.light_unit,
             "pupils": i.pupil_model().map(|p| p.summary()),
             "notes": self.notes,
+            "bend": self.bend.map(|b| json!({ "beta": b.beta, "sigma": b.sigma })),
             "beads_normalised": self.beads_normalised,
             "bead_scatter": self.bead_scatter,
         })

@@ -2,6 +2,7 @@
 //! pixel.
 
 use super::error::CalibrateError;
+use super::session::bend_effect;
 use crate::bead::check_grid;
 use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::{ChiefRays, LowRankPsf};
@@ -54,7 +55,7 @@ pub(super) fn instrument(
         offset_dn: noise.offset_dn,
         response: noise.response,
         reading_dn2: noise.reading_dn2,
-        effects: Vec::new(),
+        effects: noise.bend.iter().map(bend_effect).collect(),
         light_unit: LightUnit::Dn,
         pupils: Default::default(),
         quality: Quality { maps: noise.map_errors, ..Quality::default() },

@@ -14,7 +14,8 @@ use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
 use crate::slopes::Slopes;
 use ndarray::Array2;
-use ommatidia_physics::noise::{NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
+use ommatidia_physics::effects::EffectSetting;
+use ommatidia_physics::noise::{Bend, NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::{Manifest, Role, Session};
 use serde::{Deserialize, Serialize};
@@ -79,6 +80,8 @@ pub struct Calibration {
     pub notes: Vec<String>,
     /// Whether each bead frame was brought to the same total light.
     pub beads_normalised: bool,
+    /// The bend of the sensor's response that the flats show; None where they show none.
+    pub bend: Option<Bend>,
     /// Scatter of the brightness of the beads about what their neighbours predict, relative; None where it was not
     /// needed for a decision.
     pub bead_scatter: Option<f64>,
@@ -103,6 +106,7 @@ pub fn calibrate(
         return Err(CalibrateError::Check(errors));
     }
     let noise = measure_noise(session, &config.noise, &mut step)?;
+    let bend = noise.bend;
     let mut notes: Vec<String> =
         checked.at_least(Severity::Warning).filter(|f| is_new(f)).map(|f| format!("{}: {}", f.topic, f.text)).collect();
     let of_noise: Vec<String> = noise.notes.iter().map(ToString::to_string).collect();
@@ -118,7 +122,7 @@ pub fn calibrate(
         notes.push(sensor_only::NOTE.into());
         sensor_only::instrument(session, manifest, noise)?
     } else {
-        let mut scan = BeadScan::open(session, noise.model, maps(&noise))?;
+        let mut scan = BeadScan::open(session, noise.model, maps(&noise), noise.bend)?;
         let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
         let background = remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
         notes.extend(background_note(background.as_ref().map(|(b, _)| b)));
@@ -196,7 +200,7 @@ pub fn calibrate(
             response: noise.response,
             reading_dn2: noise.reading_dn2,
             geometry: fitted.rays,
-            effects: Vec::new(),
+            effects: noise.bend.iter().map(bend_effect).collect(),
             light_unit: LightUnit::Bead,
             pupils: Default::default(),
         }
@@ -208,7 +212,7 @@ pub fn calibrate(
         }
         None => {}
     }
-    Ok(Calibration { instrument, notes, beads_normalised: normalised, bead_scatter })
+    Ok(Calibration { instrument, notes, beads_normalised: normalised, bend, bead_scatter })
 }
 
 /// Whether a warning of the checks is not given by the calibration itself, in more detail.
@@ -261,6 +265,11 @@ fn background_note(found: Option<&BeadBackground>) -> Option<String> {
 /// The background of each frame as an array, [bead, (level, row, col)], e-.
 fn by_frame(background_e: &[Slopes]) -> Array2<f32> {
     Array2::from_shape_fn((background_e.len(), 3), |(n, a)| background_e[n][a] as f32)
+}
+
+/// The bend of the response as an effect of the instrument.
+pub(super) fn bend_effect(bend: &Bend) -> EffectSetting {
+    EffectSetting::new("nonlinearity", &[("beta", bend.beta)])
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {

@@ -103,6 +103,11 @@ impl Forward {
         if self.calibrated.psf.node_depths_um.len() == 1 { RADIUS_ERROR.hypot(of_wavelength) } else { 0.0 }
     }
 
+    /// Depths of the planes of beads that the PSFs were calibrated at, um, ascending.
+    pub fn calibrated_depths_um(&self) -> &[f64] {
+        &self.calibrated.psf.node_depths_um
+    }
+
     /// The pupils, if effects ask for them and they explain the PSFs. They are fitted when they are first asked for:
     /// the corners and the centre of the object say whether they are.
     fn pupils_asked(&self, effects: &Chain, cx: &FrameContext<'_>) -> Option<&PupilModel> {

@@ -58,7 +58,8 @@ pub struct Instrument {
     /// basis of one and the coefficients of another cannot be combined. Chief rays, noise and light unit are the same
     /// in all, so that the error of the light unit (one scale common to all predictions) is not part of this variance.
     pub replicates: Vec<LowRankPsf>,
-    /// Effects added by `close`, in the order in which they were accepted.
+    /// Effects beside the optics: the bend of the sensor's response, where the flats of the calibration show one, and
+    /// those that `close` added, in the order in which they were accepted.
     pub effects: Vec<EffectSetting>,
     /// The unit of light in objects.
     pub light_unit: LightUnit,

@@ -46,6 +46,8 @@ pub struct Testbed {
     pub prnu: f64,
     /// Lamp flicker of the flats, rms, relative.
     pub flicker: f64,
+    /// Shortfall of the response at full scale, relative: `Q - bend Q^2 / full scale`.
+    pub bend: f64,
     /// Number of scene frames with truth.
     pub scenes: usize,
     /// Changes bead frame n (DN) before it is written.
@@ -85,6 +87,7 @@ impl Testbed {
             flat_frames: 8,
             prnu: 0.0,
             flicker: 0.005,
+            bend: 0.0,
             scenes: 3,
             spoil: |_, _| {},
         }
@@ -155,7 +158,9 @@ impl Testbed {
         let top = self.manifest.sensor.saturation_dn();
         let mut frame = expected_e.mapv(|e| {
             let photons = if e > 1e-9 { Poisson::new(e).unwrap().sample(&mut rng) } else { 0.0 };
-            let dn = self.black_level_dn + self.gain_dn_per_e * (photons + read.sample(&mut rng));
+            let full_e = (top - self.black_level_dn) / self.gain_dn_per_e;
+            let charge = photons - self.bend * photons * photons / full_e;
+            let dn = self.black_level_dn + self.gain_dn_per_e * (charge + read.sample(&mut rng));
             dn.round().clamp(0.0, top) as f32
         });
         // A fixed pattern of whole DN, and a hot pixel.
@@ -184,13 +189,13 @@ impl Testbed {
         let darks: Vec<_> = (0..self.dark_frames).map(|i| self.draw(&dark, "dark", i)).collect();
         self.stack(&mut writer, Role::Dark, "dark", &darks, None);
         let (mut flats, mut rows) = (Vec::new(), Vec::new());
-        for (level, e) in self.flat_levels_e.iter().enumerate() {
+        for e in &self.flat_levels_e {
             for i in 0..self.flat_frames {
                 let n = rows.len();
                 let lamp = 1.0 + self.flicker * [-1.0, 0.3, 1.4, -0.7, 0.0, 0.9, -1.2, 0.3][i % 8];
                 let shape = Array2::from_shape_fn(dark.dim(), |(r, _)| e * lamp * (1.0 - 0.001 * r as f64));
                 flats.push(self.draw(&shape, "flat", n));
-                let illumination = (level + 1) as f64;
+                let illumination = e / 1000.0;
                 rows.push(FrameInfo { illumination, ..FrameInfo::plain(n, 10.0) });
             }
         }

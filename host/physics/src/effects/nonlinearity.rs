@@ -40,6 +40,10 @@ impl Effect for Nonlinearity {
         &DESCRIPTOR
     }
 
+    fn bends_noise(&self) -> bool {
+        true
+    }
+
     fn on_charge(&self, p: &[f64], charge_e: &mut Array2<f32>, cx: &FrameContext<'_>) {
         if p[0] == 0.0 || cx.full_scale_e <= 0.0 {
             return;

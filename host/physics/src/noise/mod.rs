@@ -31,5 +31,5 @@ mod model;
 mod stats;
 
 pub use draw::{draw_electrons, draw_poisson};
-pub use measure::{MapErrors, NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, ROUNDING_DN2, measure_noise};
+pub use measure::{Bend, MapErrors, NoiseCalibration, NoiseConfig, NoiseError, NoiseNote, ROUNDING_DN2, measure_noise};
 pub use model::{NoiseModel, Source, Sources, inverse_response};

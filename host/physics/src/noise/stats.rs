@@ -126,6 +126,11 @@ impl PixelStats {
         Some(Summary { mean, variance: white, sigma: white * (2.0 / (freedom * count)).sqrt() })
     }
 
+    /// Standard error of the mean over all frames and pixels, DN, by the scatter of the frames. Needs two frames or more.
+    pub(super) fn mean_error(&self) -> f64 {
+        (self.frame_variance() / self.frames()).sqrt()
+    }
+
     /// Variance of the frame means over time: lamp flicker and a small share of the pixel noise.
     fn frame_variance(&self) -> f64 {
         let n = self.frames();

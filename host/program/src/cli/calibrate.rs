@@ -130,6 +130,13 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         let spread = format!("median {median_e:.2}, p99 {p99_e:.2}, largest {max_e:.1} e-");
         line("read noise by pixel", spread, "from the darks");
     }
+    if let Some(bend) = calibration.bend {
+        line(
+            "response at full scale",
+            format!("{:+.2} +- {:.2} %", -100.0 * bend.beta, 100.0 * bend.sigma),
+            "off a straight line, by means and noise of the flats; part of the instrument",
+        );
+    }
     if let Some(rms) = response_rms(i) {
         line("pixel response", format!("{:.3} % rms", 100.0 * rms), "standard deviation over the pixels");
     }

@@ -1,5 +1,6 @@
 //! What a noise measurement needs and returns.
 
+use super::bend::Bend;
 use super::notes::NoiseNote;
 use crate::noise::model::NoiseModel;
 use ndarray::Array2;
@@ -44,6 +45,8 @@ pub struct NoiseCalibration {
     /// Variance of each pixel without light, rounding included, [sensor rows, sensor cols], DN^2; `None` if the pixels
     /// do not differ significantly, or if there are too few darks.
     pub reading_dn2: Option<Array2<f32>>,
+    /// The bend of the response; `None` if the flats show none, or cannot.
+    pub bend: Option<Bend>,
     /// Errors of these maps.
     pub map_errors: MapErrors,
     /// Photon transfer, [level, (mean above black, variance, fitted variance)], DN and DN^2.

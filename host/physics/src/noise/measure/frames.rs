@@ -11,6 +11,8 @@ pub(super) const DARKEST: f64 = 1e-3;
 pub(super) struct Group {
     /// Indices (stack of the role, frame in the stack).
     pub frames: Vec<(usize, usize)>,
+    /// Exposure times illumination, ms; 0 for darks.
+    pub dose: f64,
 }
 
 /// The frames of one role, grouped by exposure and light level; darks by exposure only.
@@ -21,7 +23,7 @@ pub(super) fn groups(session: &Session, role: Role) -> Vec<Group> {
             let key = [info.exposure_ms, if role == Role::Dark { 0.0 } else { info.illumination }];
             match keyed.iter_mut().find(|(k, _)| *k == key) {
                 Some((_, g)) => g.frames.push((s, info.frame)),
-                None => keyed.push((key, Group { frames: vec![(s, info.frame)] })),
+                None => keyed.push((key, Group { frames: vec![(s, info.frame)], dose: key[0] * key[1] })),
             }
         }
     }

@@ -5,6 +5,7 @@
 //! the fixed pattern does not contribute. The last term is the rounding to whole DN. Lamp flicker moves all pixels
 //! together; its variance is measured on the frame means and subtracted.
 
+mod bend;
 mod calibration;
 mod frames;
 mod notes;
@@ -16,6 +17,7 @@ mod tests;
 mod transfer;
 mod video;
 
+pub use bend::Bend;
 pub use calibration::{MapErrors, NoiseCalibration, NoiseConfig};
 pub use notes::{NoiseError, NoiseNote};
 pub use session::measure_noise;

@@ -59,6 +59,20 @@ pub enum NoiseNote {
         /// Its standard error.
         sigma: f64,
     },
+    /// The light of the flats is not proportional to what the table says.
+    #[error(
+        "the light of the flats is not proportional to exposure times illumination: it falls short by {:.2} % +- {:.2} % \
+         at full scale. The noise of the flats does not show that the sensor bends as much, so that the lamp, the \
+         illumination in the table or the exposure may be the cause: no correction is made, and `close` may name this \
+         as `nonlinearity` or `exposure_offset`. Measure the light of each level, or take flats at one lamp power with several exposures",
+        100.0 * bend, 100.0 * sigma
+    )]
+    Levels {
+        /// Shortfall at full scale, relative.
+        bend: f64,
+        /// Its standard error.
+        sigma: f64,
+    },
     /// Gain from a video.
     #[error(
         "the gain, {gain_dn_per_e:.3} +- {sigma:.3} DN/e-, is estimated from differences between the scenes' \

@@ -1,5 +1,6 @@
 //! Measures the noise of a session's sensor.
 
+use super::bend::{Bend, LitLevel, Shown, bend};
 use super::calibration::{MapErrors, NoiseCalibration, NoiseConfig};
 use super::frames::{Background, DARKEST, background_of_beads, darkest, groups, read_group};
 use super::notes::{NoiseError, NoiseNote};
@@ -70,7 +71,16 @@ pub fn measure_noise(
     };
     let dark_level = dark.as_ref().and_then(|d| d.level);
     let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, &mut step)?;
-    let mut transfer = Transfer::fit(&levels, dark_level);
+    let (lit, levels): (Vec<LitLevel>, Vec<Summary>) = levels.into_iter().map(|l| (l, l.summary)).unzip();
+    let bend = match bend(&lit, dark_level, saturation_dn - black) {
+        Shown::Nothing => None,
+        Shown::Bend(found) => Some(found),
+        Shown::Levels(Bend { beta, sigma, .. }) => {
+            notes.push(NoiseNote::Levels { bend: beta, sigma });
+            None
+        }
+    };
+    let mut transfer = Transfer::fit(&levels, dark_level, bend);
     // A gain set by the user is better than an estimate from a specimen.
     let given = config.nominal_gain_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e;
     let mut of_video = false;
@@ -113,6 +123,7 @@ pub fn measure_noise(
         offset_dn,
         reading_dn2,
         response: response.map(|r| r.response),
+        bend,
         map_errors,
         photon_transfer,
         notes,
@@ -205,8 +216,8 @@ fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut())
 
 /// Results from the flats.
 struct Flats {
-    /// Mean and variance of each light level, darkest first. Levels with a single frame or in saturation are left out.
-    levels: Vec<Summary>,
+    /// The light levels, darkest first. Levels with a single frame or in saturation are left out.
+    levels: Vec<LitLevel>,
     /// Response of each pixel; `None` without darks, because offsets would look like responses.
     response: Option<ResponseMap>,
 }
@@ -223,7 +234,7 @@ fn measure_flats(
     for group in groups(session, Role::Flat) {
         let stats = read_group(session, Role::Flat, &group, step)?;
         let Some(summary) = stats.summary(black, dark.map(|d| &d.offsets.offset_dn), saturation_dn) else { continue };
-        levels.push(summary);
+        levels.push(LitLevel { dose: group.dose, summary, mean_error_dn: stats.mean_error() });
         if let (Some(dark), Some(dark_dn2)) = (dark, without_light) {
             let light_dn = stats.light(black, &dark.offsets.offset_dn, saturation_dn);
             let level = Level { light_dn: &light_dn, frames: group.frames.len() as f64, summary };
@@ -233,7 +244,7 @@ fn measure_flats(
             }
         }
     }
-    levels.sort_by(|a, b| a.mean.total_cmp(&b.mean));
+    levels.sort_by(|a, b| a.summary.mean.total_cmp(&b.summary.mean));
     let response = dark.zip(without_light).and_then(|(d, dark_dn2)| sums.finish(dark_dn2 / d.frames));
     Ok(Flats { levels, response })
 }

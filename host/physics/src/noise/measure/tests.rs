@@ -33,6 +33,19 @@ fn gain_read_noise_and_offsets_come_out_of_a_flickering_lamp_and_a_fixed_pattern
 }
 
 #[test]
+fn a_response_that_bends_is_measured_and_does_not_lower_the_gain() {
+    let flat_levels_e = vec![800.0, 2500.0, 4500.0, 6500.0, 8500.0];
+    let bed = Testbed { flat_levels_e, flat_frames: 16, flicker: 0.001, ..Testbed::new() };
+    let straight = measured(&bed);
+    assert!(straight.bend.is_none() && straight.notes.is_empty(), "{:?}", straight.bend);
+    let bent = measured(&Testbed { bend: 0.03, ..bed });
+    let found = bent.bend.unwrap();
+    assert!((found.beta - 0.03).abs() < 4.0 * found.sigma && found.sigma < 0.003, "{found:?}");
+    assert!((bent.model.gain_dn_per_e / 0.4 - 1.0).abs() < 0.01, "{:?}", bent.model);
+    assert!(bent.notes.is_empty(), "{:?}", bent.notes);
+}
+
+#[test]
 fn levels_in_saturation_and_single_frames_are_left_out() {
     let with = |levels: &[f64], flat_frames| {
         measured(&Testbed { flat_levels_e: levels.to_vec(), flat_frames, ..Testbed::new() })
@@ -60,7 +73,8 @@ fn flats_without_darks_still_give_the_gain() {
 #[test]
 fn flats_whose_variance_falls_with_the_light_are_refused() {
     let level = |mean, variance| Summary { mean, variance, sigma: 0.01 * variance };
-    let transfer = Transfer::fit(&[level(100.0, 50.0), level(1000.0, 20.0)], None).map_err(str::to_string).unwrap();
+    let transfer =
+        Transfer::fit(&[level(100.0, 50.0), level(1000.0, 20.0)], None, None).map_err(str::to_string).unwrap();
     assert!(transfer.slope < 0.0);
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session");

@@ -1,5 +1,6 @@
 //! Photon transfer: a line through variance over light.
 
+use super::bend::Bend;
 use crate::noise::stats::Summary;
 use ndarray::Array2;
 
@@ -8,7 +9,13 @@ pub const ROUNDING_DN2: f64 = 1.0 / 12.0;
 /// Allowance for errors beside counting statistics (nonlinearity, drift), relative to the variance of each level.
 pub(super) const MODEL_ERROR: f64 = 2e-3;
 
-/// The line `variance - 1/12 = slope * mean + intercept`, mean light above black in DN, variance in DN^2.
+/// Error of the variance of a level, DN^2.
+pub(super) fn variance_error(level: &Summary) -> f64 {
+    level.sigma.hypot(MODEL_ERROR * level.variance.max(ROUNDING_DN2))
+}
+
+/// The line `variance - 1/12 = slope * light + intercept`, light above black in DN, variance in DN^2. Where the response
+/// bends, `light` is that of a linear pixel, times the square of the slope of the response there.
 pub(super) struct Transfer {
     /// Gain, DN per electron.
     pub slope: f64,
@@ -18,6 +25,16 @@ pub(super) struct Transfer {
     pub intercept: f64,
     /// Standard error of the intercept.
     pub intercept_sigma: f64,
+    /// The bend of the response. None: linear.
+    pub bend: Option<Bend>,
+}
+
+/// What the variance is proportional to, DN: the light of a level, times the square of the slope of the response.
+fn counted(mean: f64, bend: Option<&Bend>) -> f64 {
+    bend.map_or(mean, |b| {
+        let light = b.straight(mean);
+        light * b.slope(light).powi(2)
+    })
 }
 
 impl Transfer {
@@ -25,7 +42,7 @@ impl Transfer {
     ///
     /// # Errors
     /// States why the levels do not determine a line.
-    pub(super) fn fit(levels: &[Summary], dark: Option<Summary>) -> Result<Self, &'static str> {
+    pub(super) fn fit(levels: &[Summary], dark: Option<Summary>, bend: Option<Bend>) -> Result<Self, &'static str> {
         if levels.is_empty() {
             return Err("there are no flats with two or more unsaturated frames at one light level");
         }
@@ -36,9 +53,9 @@ impl Transfer {
         }
         let mut s = [0.0; 5];
         for p in &points {
-            let w = 1.0 / (p.sigma.powi(2) + (MODEL_ERROR * p.variance.max(ROUNDING_DN2)).powi(2));
-            let y = p.variance - ROUNDING_DN2;
-            for (sum, v) in s.iter_mut().zip([w, w * p.mean, w * p.mean * p.mean, w * y, w * p.mean * y]) {
+            let w = 1.0 / variance_error(p).powi(2);
+            let (x, y) = (counted(p.mean, bend.as_ref()), p.variance - ROUNDING_DN2);
+            for (sum, v) in s.iter_mut().zip([w, w * x, w * x * x, w * y, w * x * y]) {
                 *sum += v;
             }
         }
@@ -48,6 +65,7 @@ impl Transfer {
             slope_sigma: (s[0] / determinant).sqrt(),
             intercept: (s[2] * s[3] - s[1] * s[4]) / determinant,
             intercept_sigma: (s[2] / determinant).sqrt(),
+            bend,
         })
     }
 }
@@ -59,7 +77,10 @@ pub(super) fn curve(
     transfer: &Result<Transfer, &'static str>,
 ) -> Array2<f32> {
     let points: Vec<Summary> = dark.into_iter().chain(levels.iter().copied()).collect();
-    let fitted = |p: &Summary| transfer.as_ref().map_or(p.variance, |t| t.slope * p.mean + t.intercept + ROUNDING_DN2);
+    let fitted = |p: &Summary| {
+        let line = |t: &Transfer| t.slope * counted(p.mean, t.bend.as_ref()) + t.intercept + ROUNDING_DN2;
+        transfer.as_ref().map_or(p.variance, line)
+    };
     Array2::from_shape_fn((points.len(), 3), |(i, c)| {
         [points[i].mean, points[i].variance, fitted(&points[i])][c] as f32
     })

@@ -129,7 +129,7 @@ fn summary(fits: &[[[f64; 2]; 3]]) -> Option<Transfer> {
     let [low, high] = [of(0, 1).0, of(2, 1).0];
     let slope_sigma = scatter.hypot((high - low) / 2.0);
     let intercept = intercept - ROUNDING_DN2;
-    (slope > SURE * slope_sigma).then_some(Transfer { slope, slope_sigma, intercept, intercept_sigma: off })
+    (slope > SURE * slope_sigma).then_some(Transfer { slope, slope_sigma, intercept, intercept_sigma: off, bend: None })
 }
 
 #[cfg(test)]
