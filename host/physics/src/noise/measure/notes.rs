@@ -64,7 +64,8 @@ pub enum NoiseNote {
         "the light of the flats is not proportional to exposure times illumination: it falls short by {:.2} % +- {:.2} % \
          at full scale. The noise of the flats does not show that the sensor bends as much, so that the lamp, the \
          illumination in the table or the exposure may be the cause: no correction is made, and `close` may name this \
-         as `nonlinearity` or `exposure_offset`. Measure the light of each level, or take flats at one lamp power with several exposures",
+         as `nonlinearity` or `exposure_offset`. Measure the light of each level, or take flats at one lamp power with \
+         several exposures",
         100.0 * bend, 100.0 * sigma
     )]
     Levels {
