@@ -46,7 +46,7 @@ impl PyInstrument {
         let provenance = serde_json::from_value(header["provenance"].clone())
             .with_context(|| format!("{}: provenance", path.display()))?;
         Ok(Self::new(
-            Calibration { instrument, notes: Vec::new(), beads_normalised: false, bead_scatter: None },
+            Calibration { instrument, notes: Vec::new(), beads_normalised: false, bend: None, bead_scatter: None },
             provenance,
             Some(path.into()),
         ))
