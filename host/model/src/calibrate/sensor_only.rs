@@ -2,12 +2,12 @@
 //! pixel.
 
 use super::error::CalibrateError;
-use super::session::bend_effect;
 use crate::bead::check_grid;
 use crate::instrument::{Diagnostics, Instrument, LightUnit, Quality};
 use crate::psf::{ChiefRays, LowRankPsf};
 use ndarray::{Array4, Array5};
-use ommatidia_physics::noise::NoiseCalibration;
+use ommatidia_physics::effects::EffectSetting;
+use ommatidia_physics::noise::{Bend, NoiseCalibration};
 use ommatidia_session::{Manifest, Role, Session};
 
 /// Note for the user where the optics were not measured.
@@ -21,6 +21,11 @@ pub(super) fn applies(session: &Session) -> bool {
     session.stacks_of(Role::Bead).next().is_none()
         && m.array.lenses() == 1
         && [m.object.rows, m.object.cols] == [m.sensor.rows, m.sensor.cols]
+}
+
+/// The bend of the response as an effect of the instrument.
+pub(super) fn bend_effect(bend: &Bend) -> EffectSetting {
+    EffectSetting::new("nonlinearity", &[("beta", bend.beta)])
 }
 
 /// The instrument of a session without a bead scan, with the identity as its optics.

@@ -14,7 +14,6 @@ use crate::psf::BeadScale;
 use crate::psf::fit::{FitConfig, Plane};
 use crate::slopes::Slopes;
 use ndarray::Array2;
-use ommatidia_physics::effects::EffectSetting;
 use ommatidia_physics::noise::{Bend, NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
 use ommatidia_physics::sensor::SensorMaps;
 use ommatidia_session::{Manifest, Role, Session};
@@ -200,7 +199,7 @@ pub fn calibrate(
             response: noise.response,
             reading_dn2: noise.reading_dn2,
             geometry: fitted.rays,
-            effects: noise.bend.iter().map(bend_effect).collect(),
+            effects: noise.bend.iter().map(sensor_only::bend_effect).collect(),
             light_unit: LightUnit::Bead,
             pupils: Default::default(),
         }
@@ -265,11 +264,6 @@ fn background_note(found: Option<&BeadBackground>) -> Option<String> {
 /// The background of each frame as an array, [bead, (level, row, col)], e-.
 fn by_frame(background_e: &[Slopes]) -> Array2<f32> {
     Array2::from_shape_fn((background_e.len(), 3), |(n, a)| background_e[n][a] as f32)
-}
-
-/// The bend of the response as an effect of the instrument.
-pub(super) fn bend_effect(bend: &Bend) -> EffectSetting {
-    EffectSetting::new("nonlinearity", &[("beta", bend.beta)])
 }
 
 fn maps(noise: &NoiseCalibration) -> SensorMaps {

@@ -22,6 +22,13 @@ impl Default for NoiseConfig {
     }
 }
 
+/// A value and its standard error.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Estimate {
+    pub value: f64,
+    pub sigma: f64,
+}
+
 /// Errors of the pixel maps of a sensor: rms difference between a map and the true pattern; 0 if there is no map.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]

@@ -8,6 +8,7 @@
 mod bend;
 mod calibration;
 mod frames;
+mod linearity;
 mod notes;
 mod reading;
 mod response;

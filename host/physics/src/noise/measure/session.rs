@@ -1,8 +1,9 @@
 //! Measures the noise of a session's sensor.
 
-use super::bend::{Bend, LitLevel, Shown, bend};
-use super::calibration::{MapErrors, NoiseCalibration, NoiseConfig};
+use super::bend::Bend;
+use super::calibration::{Estimate, MapErrors, NoiseCalibration, NoiseConfig};
 use super::frames::{Background, DARKEST, background_of_beads, darkest, groups, read_group};
+use super::linearity::{LitLevel, Shown, bend};
 use super::notes::{NoiseError, NoiseNote};
 use super::response::{Level, ResponseMap, ResponseSums};
 use super::transfer::{ROUNDING_DN2, Transfer, curve};
@@ -22,13 +23,6 @@ struct Dark {
     frames: f64,
     /// Variance of each pixel, [sensor rows, sensor cols], if the pixels differ.
     reading_dn2: Option<Array2<f32>>,
-}
-
-/// A value and its standard error.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Estimate {
-    pub value: f64,
-    pub sigma: f64,
 }
 
 /// Measures the noise of a session's sensor: black level, gain, read noise and pixel maps. `step` is called after each
