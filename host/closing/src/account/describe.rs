@@ -8,7 +8,7 @@ use crate::data::{Fault, FaultKind};
 use crate::evidence::{JudgedOn, Test};
 use crate::fit::{Fitted, Model, State, Term};
 use crate::search::{Candidate, Found};
-use ommatidia_physics::effects::{COVARIATES, KNOTS, OPERATORS, Stage, WEIGHTS, find, registry};
+use ommatidia_physics::effects::{COVARIATES, KNOTS, OPERATORS, Param, Stage, WEIGHTS, find, registry};
 
 /// The result of a search.
 #[derive(Clone, Copy)]
@@ -46,31 +46,13 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             format!("unknown-{unknown}")
         };
         let test = tests.get(own + i).and_then(Option::as_ref);
-        let mut params: Vec<Value> = term
-            .expanded(model.lenses())
-            .into_iter()
-            .enumerate()
-            .map(|(j, (name, p))| {
-                // Parameters that are not fitted have no error; the others are in the order of their columns.
-                let column = term.free(model.lenses()).iter().position(|i| *i == j);
-                let error = |c: &ndarray::Array2<f64>| {
-                    let variance = column.and_then(|i| c.get((i, i)).copied()).unwrap_or(0.0);
-                    p.outer_sigma(p.inner(term.params[j]), variance.max(0.0).sqrt())
-                };
-                let sigma = match &f.table_sigma {
-                    Some(sigma) if j == 0 => *sigma,
-                    _ => test.map_or(0.0, |t| error(&t.covariance)),
-                };
-                let sigma_noise = test.map_or(0.0, |t| error(&t.noise));
-                Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
-            })
-            .collect();
+        let mut params = values(model, term, test);
+        if let (Some(sigma), Some(first)) = (f.table_sigma, params.first_mut()) {
+            first.sigma = sigma;
+        }
         // What flats and darks prove is not in doubt for what the scenes leave.
         by_law(&mut params, term, model.lenses(), if f.proved_by_even_light { 0.0 } else { left.of(f) });
-        if BY_DEPTH.contains(&f.id) {
-            let error = |v: f64| (model.forward.depth_error() * v).hypot(between_planes(model, f.id, v));
-            params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error(v.value)));
-        }
+        by_depth(model, f.id, &mut params);
         let undetermined =
             if f.table_sigma.is_none() { widen_undetermined(&mut params, term, model.lenses()) } else { false };
         let separate_by = f.ambiguity.first().map(|other| separate(f.id, other.id));
@@ -95,6 +77,30 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
         });
     }
     effects
+}
+
+/// Widens the errors of an effect that acts by depth by what the calibration does not know of depths.
+pub(crate) fn by_depth(model: &Model<'_>, id: &str, params: &mut [Value]) {
+    if BY_DEPTH.contains(&id) {
+        let error = |v: f64| (model.forward.depth_error() * v).hypot(between_planes(model, id, v));
+        params.iter_mut().filter(|v| v.sigma > 0.0).for_each(|v| v.sigma = v.sigma.hypot(error(v.value)));
+    }
+}
+
+/// The parameters of a term with their errors by its test.
+pub(crate) fn values(model: &Model<'_>, term: &Term, test: Option<&Test>) -> Vec<Value> {
+    let free = term.free(model.lenses());
+    let value = |(j, (name, p)): (usize, (String, &Param))| {
+        // Parameters that are not fitted have no error; the others are in the order of their columns.
+        let column = free.iter().position(|i| *i == j);
+        let error = |c: &ndarray::Array2<f64>| {
+            let variance = column.and_then(|i| c.get((i, i)).copied()).unwrap_or(0.0);
+            p.outer_sigma(p.inner(term.params[j]), variance.max(0.0).sqrt())
+        };
+        let [sigma, sigma_noise] = test.map_or([0.0; 2], |t| [error(&t.covariance), error(&t.noise)]);
+        Value { name, value: term.params[j], sigma, sigma_noise, unit: p.unit.into() }
+    };
+    term.expanded(model.lenses()).into_iter().enumerate().map(value).collect()
 }
 
 /// Widens the errors of an effect's strengths by what its law does not describe. `left` is the share of the excess of

@@ -17,7 +17,7 @@ pub mod retrain;
 mod verdict;
 
 pub use adopt::{Recalibrated, adopt};
-pub(crate) use describe::{Accepted, Findings, effects, fault, rejected};
+pub(crate) use describe::{Accepted, Findings, by_depth, effects, fault, rejected, values};
 pub use file::{KIND, VERSION};
 pub(crate) use names::{Judged, Names, ROW_NOISE, end_notes};
 pub(crate) use pictures::pictured;

@@ -21,9 +21,7 @@ pub(super) fn between_planes(model: &Model<'_>, id: &str, value: f64) -> f64 {
         return 0.0;
     }
     if id == "defocus" {
-        let z_um = model.forward.depth_um() + value;
-        let nearest = planes.iter().map(|p| (p - z_um).abs()).fold(f64::INFINITY, f64::min);
-        return BETWEEN * nearest.min(gap / 2.0);
+        return BETWEEN * from_plane_um(planes, model.forward.depth_um() + value).min(gap / 2.0);
     }
     // The specimen has all depths from none to the largest.
     let largest_um = match id {
@@ -31,6 +29,11 @@ pub(super) fn between_planes(model: &Model<'_>, id: &str, value: f64) -> f64 {
         _ => value.abs() * model.half_side_mm()[1].powi(2),
     };
     BETWEEN * value.abs() * (gap / (2.0 * largest_um.max(f64::MIN_POSITIVE))).min(1.0)
+}
+
+/// Distance of a depth from the nearest plane, um.
+fn from_plane_um(planes: &[f64], z_um: f64) -> f64 {
+    planes.iter().map(|p| (p - z_um).abs()).fold(f64::INFINITY, f64::min)
 }
 
 /// The note on effects that pupils predict; None: there are none.
@@ -77,4 +80,16 @@ pub(crate) fn pupil_note(
          beads were scanned in one plane. {unknown}; a bead scan at several depths decides it{misjudged}",
         effect.id
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn depths_are_exact_in_the_planes_and_least_known_between_them() {
+        let planes = [-350.0, 0.0, 250.0];
+        let off = |z_um| from_plane_um(&planes, z_um);
+        assert_eq!([off(0.0), off(-115.0), off(-175.0), off(200.0), off(400.0)], [0.0, 115.0, 175.0, 50.0, 150.0]);
+    }
 }

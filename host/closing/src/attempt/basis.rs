@@ -76,6 +76,14 @@ impl<'m> Basis<'m> {
         Ok(omnibus::test(self.model, fit, &self.replicas.of(self.model, fit)?, self.seed))
     }
 
+    /// The structure that tests see with all effects of the instrument as they are in its file.
+    pub fn dependences_unchanged(&self) -> Result<Vec<Dependence>, ForwardError> {
+        match self.unchanged.state.held == self.before.state.held {
+            true => Ok(self.dependences.clone()),
+            false => self.dependences_of(&self.unchanged),
+        }
+    }
+
     /// Whether errors of the calibration may be all that is wrong with a fit.
     pub fn within_calibration(&self, fit: &Fitted) -> bool {
         let alone = standing_alone(self.model, fit, &self.instrument.psf);

@@ -2,7 +2,7 @@
 
 use super::basis::Basis;
 use super::settle::Settled;
-use crate::account::{Effect, Value};
+use crate::account::{Effect, Value, by_depth, values};
 use crate::evidence::Test;
 use crate::fit::{Model, State, Term, refit};
 use ommatidia_model::forward::ForwardError;
@@ -52,32 +52,25 @@ struct Changes {
 
 impl Changes {
     fn of(model: &Model<'_>, term: &Term, setting: &EffectSetting, test: &Test) -> Self {
-        let (expanded, free) = (term.expanded(model.lenses()), term.free(model.lenses()));
+        let expanded = term.expanded(model.lenses());
         let before: Vec<f64> =
             expanded.iter().map(|(name, p)| setting.params.get(name).copied().unwrap_or(p.off)).collect();
         let size = |unit: &str| {
             let same = expanded.iter().zip(&before).filter(|((_, p), _)| p.is_strength() && p.unit == unit);
             same.map(|((_, p), v)| (v - p.off).abs()).fold(0.0, f64::max)
         };
-        let mut found = Self { z: 0.0, values: Vec::new(), words: Vec::new(), before: Vec::new() };
-        for (i, (name, p)) in expanded.iter().enumerate() {
-            let column = free.iter().position(|f| *f == i);
-            let error = |c: &ndarray::Array2<f64>| {
-                let variance = column.and_then(|n| c.get((n, n)).copied()).unwrap_or(0.0);
-                p.outer_sigma(p.inner(term.params[i]), variance.max(0.0).sqrt())
-            };
-            let (value, sigma) = (term.params[i], error(&test.covariance));
-            let change = (value - before[i]).abs();
-            if p.is_strength() && sigma > 0.0 && change > (CHANGED * sigma).max(MUCH * size(p.unit)) {
-                found.z = found.z.max(change / sigma);
+        let mut values = values(model, term, Some(test));
+        by_depth(model, term.id(), &mut values);
+        let (mut z, mut words) = (0.0, Vec::new());
+        for ((Value { name, value, sigma, .. }, (_, p)), was) in values.iter().zip(&expanded).zip(&before) {
+            let change = (value - was).abs();
+            if p.is_strength() && *sigma > 0.0 && change > (CHANGED * sigma).max(MUCH * size(p.unit)) {
+                z = f64::max(z, change / sigma);
                 let unit = if p.unit == "1" { String::new() } else { format!(" {}", p.unit) };
-                found.words.push(format!("{name} was {:.4}{unit}, and is {value:.4} +- {sigma:.4}{unit}", before[i]));
+                words.push(format!("{name} was {was:.4}{unit}, and is {value:.4} +- {sigma:.4}{unit}"));
             }
-            let (name, unit) = (name.clone(), p.unit.into());
-            found.values.push(Value { name, value, sigma, sigma_noise: error(&test.noise), unit });
         }
-        found.before = before;
-        found
+        Self { z, before, values, words }
     }
 
     fn effect(self, term: &Term, gain: f64, basis: &Basis<'_>) -> Effect {

@@ -79,7 +79,7 @@ pub(super) fn report(
         rejected: rejected(model, &settled.rest, &accepted, own_beads),
         catalogue_incomplete: verdict != Verdict::Adequate,
         faults: given.faults.to_vec(),
-        dependences_before: basis.dependences.clone(),
+        dependences_before: basis.dependences_unchanged()?,
         dependences_after: settled.dependences.clone(),
         retrained: None,
         registrations,

@@ -41,12 +41,6 @@ fn shows_response(seen: &Observations) -> bool {
     doses.len() >= LEVELS
 }
 
-/// Ids of the effects of an instrument that bend the response of its sensor.
-fn bends(instrument: &Instrument) -> Vec<String> {
-    let ids = instrument.effects.iter().map(|e| e.id.clone());
-    ids.filter(|id| find(id).is_some_and(|effect| effect.bends_noise())).collect()
-}
-
 /// An instrument and the frames of a session.
 pub struct Model<'a> {
     /// The forward model of the instrument without its effects.
@@ -171,7 +165,7 @@ impl<'a> Model<'a> {
             wings: vec![0.0; wings::values(&self.rings)],
             registration: vec![[0.0; PARTS]; self.seen.registrations.len()],
             specimens: None,
-            held: if shows_response(self.seen) { Vec::new() } else { bends(instrument) },
+            held: instrument.bends().map(|e| e.id.clone()).filter(|_| !shows_response(self.seen)).collect(),
         })
     }
 

@@ -7,7 +7,6 @@ use crate::evidence::{Figures, figures};
 use crate::fit::{Model, refit};
 use ommatidia_model::calibrate::{CalibrateConfig, calibrate};
 use ommatidia_model::instrument::Instrument;
-use ommatidia_physics::effects::find;
 use ommatidia_physics::noise::NoiseConfig;
 use ommatidia_session::{Role, Session, SessionError};
 
@@ -57,7 +56,7 @@ pub(crate) fn calibration_of(
         it.quality.maps.offset_dn = before.quality.maps.offset_dn;
     }
     if !flats {
-        it.effects = before.effects.iter().filter(|e| find(&e.id).is_some_and(|e| e.bends_noise())).cloned().collect();
+        it.effects = before.bends().cloned().collect();
     }
     if !(darks && flats) {
         it.response = before.response.clone();

@@ -2,8 +2,8 @@
 //! found before.
 
 use super::{accounted_by, measured, names, subject};
-use ommatidia_closing::Closing;
 use ommatidia_closing::study::sessions::Holds;
+use ommatidia_closing::{Closing, Dependence};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectSetting;
 
@@ -29,5 +29,9 @@ fn effects_that_the_instrument_has_are_named_where_they_have_changed_and_only_th
         assert!((found.value - value).abs() < 5.0 * found.sigma, "{found:?}");
         assert!(changed.effects[0].description.contains("has changed"), "{}", changed.effects[0].description);
         assert!(changed.after.chi2_ndf < changed.before.chi2_ndf);
+        // What stands before is of the instrument as it is in its file, the structure too.
+        let seen = |all: &[Dependence]| all.iter().map(|d| d.z).fold(0.0, f64::max);
+        let [was, is] = [&changed.dependences_before, &changed.dependences_after].map(|all| seen(all));
+        assert!(param == "beta" || was > 2.0 * is, "{was} {is}");
     }
 }

@@ -23,7 +23,7 @@ use crate::bead::BeadBackground;
 use crate::psf::pupils::{PupilModel, Pupils};
 use crate::psf::{CalibratedOptics, ChiefRays, LowRankPsf};
 use ndarray::{Array1, Array2, Axis};
-use ommatidia_physics::effects::EffectSetting;
+use ommatidia_physics::effects::{EffectSetting, find};
 use ommatidia_physics::noise::{MapErrors, NoiseModel, Source, inverse_response};
 use ommatidia_session::Manifest;
 use serde::{Deserialize, Serialize};
@@ -102,6 +102,11 @@ impl Instrument {
         }
         let psf = self.replicates.get(j)?.clone();
         Some(Self { psf, replicates: Vec::new(), ..self.clone() })
+    }
+
+    /// Its effects that bend the response of the sensor: flats show them, and they are part of a calibration.
+    pub fn bends(&self) -> impl Iterator<Item = &EffectSetting> {
+        self.effects.iter().filter(|e| find(&e.id).is_some_and(|effect| effect.bends_noise()))
     }
 
     /// The calibrated optics, from which [`crate::psf::LowRankOperator`] is planned.

@@ -7,7 +7,6 @@ use ommatidia_closing::Account;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_network::methods::{MethodKind, title};
 use ommatidia_network::uncertainty::{CalibrateWidths, EffectError, KIND, VirtualConfig};
-use ommatidia_physics::effects::find;
 use ommatidia_physics::scene::Specimen;
 use ommatidia_session::artifact::{Provenance, file_hash};
 use ommatidia_session::kind::FileKind;
@@ -88,9 +87,8 @@ fn effect_errors(account: &Path, instrument: &Instrument) -> anyhow::Result<Vec<
         }
     }
     // The bend of a response that flats show is part of a calibration, and its error is far below that of the noise.
-    let of_close = |id: &str| find(id).is_some_and(|effect| !effect.bends_noise());
     ensure!(
-        !errors.is_empty() || !instrument.effects.iter().any(|e| of_close(&e.id)),
+        !errors.is_empty() || instrument.bends().count() == instrument.effects.len(),
         "{}: expected the account of the effects of this instrument ({}), found none of them; give the account that \
          `close` wrote beside it",
         account.display(),
