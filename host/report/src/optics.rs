@@ -40,6 +40,7 @@ fn quality(instrument: &Instrument, numbers: &mut Numbers) -> Markup {
         ("NRMSE on held-out positions (checkerboard)".into(), percent(q.off_grid_error)),
         ("— with one PSF per lens instead".into(), percent(q.one_psf_error)),
         ("— of the noise of the bead frames alone".into(), percent(q.noise_floor)),
+        ("NRMSE on held-out bead frames, noise deducted".into(), percent(q.frame_error)),
         ("Distance of foci from their chief rays, rms".into(), html! { (number(q.chief_ray_rms_px)) " px" }),
         ("Magnification".into(), html! { (number(instrument.geometry.magnification)) }),
     ];

@@ -66,6 +66,7 @@ pub(crate) fn effects(model: &Model<'_>, findings: Findings<'_>, faults: &[Fault
             known,
             stage: d.stage.part().into(),
             added: true,
+            changed: false,
             z: f.z,
             excess_explained: (JudgedOn::of(model.seen) != JudgedOn::Nothing && excess > 3.0 * (2.0 * pixels).sqrt())
                 .then(|| (f.held_out_gain / excess).clamp(0.0, 1.0)),
@@ -171,6 +172,7 @@ pub(crate) fn fault(fault: &Fault) -> Effect {
         known: true,
         stage: Stage::Record.part().into(),
         added: true,
+        changed: false,
         z: fault.z,
         excess_explained: None,
         held_out_gain: 0.0,

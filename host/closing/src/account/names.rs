@@ -257,6 +257,7 @@ mod tests {
             known: !id.starts_with("unknown"),
             stage: "optics".into(),
             added: true,
+            changed: false,
             z: 9.0,
             excess_explained: None,
             held_out_gain: 0.0,

@@ -38,6 +38,9 @@ pub struct Effect {
     /// is named, and not added.
     #[serde(default = "yes")]
     pub added: bool,
+    /// Whether the instrument had it already, with another strength.
+    #[serde(default)]
+    pub changed: bool,
     /// Strength of the evidence, standard deviations.
     pub z: f64,
     /// Share of the excess of chi-squared over the noise that it explains, on held-out data; None: the excess is not
@@ -131,7 +134,7 @@ impl Verdict {
     /// The verdict in a sentence.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Adequate => "adequate: no test sees structure in what is left",
+            Self::Adequate => "adequate: what is left is noise, or no more than the calibration itself errs by",
             Self::Incomplete => "incomplete: something is left that no effect of the catalogue explains",
             Self::NotThisModel => {
                 "not this model: what is left is no noise of this instrument, and no effect that is known here explains it"

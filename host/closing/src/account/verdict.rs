@@ -91,12 +91,14 @@ impl Excess {
 /// Whether figures are within the error that the calibration showed at bead positions that it had left out, noise
 /// deducted: no effect can predict better than the PSFs are known. Where the noise of the scenes exceeds that error, it
 /// is deducted from their figure too. `alone`: how far the foci of the scenes stand alone
-/// ([`crate::evidence::standing_alone`]).
+/// ([`crate::evidence::standing_alone`]); so far they have the error of a bead frame.
 pub(crate) fn within_calibration(now: Figures, quality: &Quality, alone: f64) -> bool {
+    let alone = alone.min(1.0);
     let relative2 = quality.off_grid_excess().powi(2);
     let share = (1.0 - 1.0 / now.chi2_ndf).max(0.0);
     let without_noise2 = now.nrmse.powi(2) * share;
-    now.nrmse.powi(2) < relative2 || without_noise2 < OVERLAPPING.powi(2).max(alone.min(1.0)) * relative2
+    let known2 = (OVERLAPPING.powi(2) * relative2).max(alone * quality.bead_error().powi(2));
+    now.nrmse.powi(2) < relative2 || without_noise2 < known2
 }
 
 /// Share of the excess that is left where structure is left, apart for the data that the figures judge and for even

@@ -81,6 +81,7 @@ impl Changes {
             known: !term.id().starts_with("unknown"),
             stage: term.effect.descriptor().stage.part().into(),
             added: true,
+            changed: true,
             z: self.z,
             excess_explained: (excess > 3.0 * (2.0 * chi2.pixels).sqrt()).then(|| (gain / excess).clamp(0.0, 1.0)),
             held_out_gain: gain,

@@ -8,6 +8,7 @@ use crate::account::{
     Accepted, Closed, Closing, Effect, Findings, Judged, Left, Names, Nearest, ROW_NOISE, Verdict, effects, harmful,
     imitated, pictured, registrations, rejected, shadowed,
 };
+use crate::data::Shown;
 use crate::evidence::{compared, curves, noise_left, structured};
 use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames, rhythm};
 use crate::options::{CloseError, CloseOptions};
@@ -101,6 +102,13 @@ fn left(basis: &Basis<'_>, settled: &Settled) -> Left {
     if structured(&settled.dependences) { basis.left(&settled.now) } else { Left::default() }
 }
 
+/// Relative error of the PSFs in the frames of the optics.
+fn psf_error(basis: &Basis<'_>) -> f64 {
+    let quality = &basis.instrument.quality;
+    let of_beads = basis.model.seen.frames.iter().any(|f| matches!(f.shown, Shown::Bead(_)));
+    if of_beads { quality.bead_error() } else { quality.off_grid_excess() }
+}
+
 /// Which of the effects that were found are named as causes.
 fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
     let Settled { now, found, tests, .. } = settled;
@@ -117,7 +125,7 @@ fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
         left,
         noise_is_left: noise_left(&basis.dependences, &settled.dependences) > NOISE_LEFT,
         rows_wave: has_row_noise.then(|| rhythm(basis.model, &now.predicted)).flatten(),
-        psf_error: basis.instrument.quality.off_grid_excess(),
+        psf_error: psf_error(basis),
         recalibrated: settled.recalibrated,
     };
     Names::of(effects, judged)

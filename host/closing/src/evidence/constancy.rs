@@ -28,6 +28,8 @@ const SEEN: f64 = 3.0;
 const SMALL: f64 = 0.03;
 /// Relative standard deviation of a strength between groups from which the effect is no cause.
 const UNEVEN: f64 = 0.125;
+/// The same whatever errors of the PSFs make of it: a strength that differs by more than itself is none.
+const WHOLE: f64 = 1.0;
 /// A strength that differs by less than this between groups is shown to be the same in all of them, if a difference of
 /// this size would show.
 const EVEN: f64 = 0.1;
@@ -60,7 +62,7 @@ pub(crate) struct Spread {
 impl Spread {
     /// Whether the strength differs by much, by more than is `allowed`, and certainly.
     fn is_uneven(self, allowed: f64) -> bool {
-        self.z > CERTAIN && self.tau > UNEVEN.max(allowed)
+        self.z > CERTAIN && self.tau > UNEVEN.max(allowed.min(WHOLE))
     }
 }
 

@@ -207,9 +207,9 @@ pub(crate) fn excess_by_calibration(model: &Model<'_>, fitted: &Fitted, errors: 
 }
 
 /// How far the foci of held-out known objects stand alone: the squared light that they would have one by one, over the
-/// squared light of their frames. 1: a single bead; near 0: an even body. 0 without known objects.
+/// squared light of their frames. 1: beads; near 0: an even body. 0 without beads and known objects.
 ///
-/// Light and energy of a focus are means over the field, so that the result may exceed 1 a little.
+/// Light and energy of a focus in an object are means over the field, so that the result may exceed 1 a little.
 pub(crate) fn standing_alone(model: &Model<'_>, fitted: &Fitted, psf: &LowRankPsf) -> f64 {
     let (lenses, terms, ..) = psf.basis.dim();
     let (mut light, mut energy) = (0.0, 0.0);
@@ -234,6 +234,9 @@ pub(crate) fn standing_alone(model: &Model<'_>, fitted: &Fitted, psf: &LowRankPs
     }
     let (mut alone, mut all) = (0.0, 0.0);
     for (k, [sum, squares]) in frames {
+        if let Shown::Bead(_) = seen.frames[k].shown {
+            (alone, all) = (alone + squares, all + squares);
+        }
         let Shown::Object(truth) = seen.frames[k].shown else { continue };
         let total: f64 = seen.truths[truth].iter().map(|v| f64::from(*v)).sum();
         let squared: f64 = seen.truths[truth].iter().map(|v| f64::from(*v).powi(2)).sum();

@@ -10,6 +10,7 @@ use super::covariate::{Covariate, Dependence};
 use super::stats::{chi2_tail, sigmas, two_sided};
 use super::tables;
 use crate::data::Shown;
+use crate::fit::features::{FEATURES, Features};
 use crate::fit::{Errors, Fitted, Model, Predicted, Specimens, map_errors, repeats};
 use ndarray::Array2;
 use ommatidia_physics::noise::MapErrors;
@@ -98,18 +99,18 @@ fn on_pixels(shared: [Option<f64>; 2]) -> Option<Dependence> {
 }
 
 /// The covariance channel. Its features are sums over many pixels, so they are normal and need no draws.
-fn on_repeats(levels: Vec<repeats::Features>) -> Option<Dependence> {
+fn on_repeats(levels: Vec<Features>) -> Option<Dependence> {
     let n = levels.len() as f64;
     if levels.is_empty() {
         return None;
     }
-    let mut mean = vec![0.0; repeats::FEATURES];
+    let mut mean = vec![0.0; FEATURES];
     let mut chi2 = 0.0;
     for level in &levels {
         mean.iter_mut().zip(level).for_each(|(m, v)| *m += v / n);
         chi2 += level.iter().map(|v| v * v).sum::<f64>();
     }
-    let dof = n * repeats::FEATURES as f64;
+    let dof = n * FEATURES as f64;
     let p = chi2_tail(chi2, dof);
     Some(Dependence {
         covariate: Covariate::Repeats,

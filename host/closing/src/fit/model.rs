@@ -54,8 +54,7 @@ pub struct Model<'a> {
     pub has_background: bool,
     /// The grid that truths live on.
     pub(crate) grid: Grid,
-    /// Relative error of the PSFs between the positions of the beads that they were calibrated on, without noise. In
-    /// the frame of a single bead nothing averages it.
+    /// Relative error of the PSFs in the frame of a single bead, without noise: nothing averages it there.
     pub(super) psf_error: f64,
     /// The same where it exceeds the noise of the bead frames; 0 where the calibration is as good as its noise allows.
     pub(crate) coarse_error: f64,
@@ -91,7 +90,7 @@ impl<'a> Model<'a> {
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
             grid: Grid::of(instrument),
-            psf_error: quality.off_grid_excess().min(MOST_PSF_ERROR),
+            psf_error: quality.bead_error().min(MOST_PSF_ERROR),
             coarse_error: if quality.is_coarse() { quality.off_grid_excess() } else { 0.0 },
             exposure_ms: instrument.psf.exposure_ms,
             half_side_mm: [instrument.manifest.object.pixel_um, instrument.manifest.sensor.pixel_pitch_um]

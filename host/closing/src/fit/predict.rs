@@ -4,7 +4,6 @@ use super::model::{Model, SMOOTH_PX, smooth};
 use super::state::{Predicted, State};
 use crate::data::{Frame, Shown};
 use ndarray::{Array2, Zip};
-use ommatidia_model::bead::slope_terms;
 use ommatidia_model::forward::SceneLight;
 use ommatidia_physics::effects::{Chain, blur_within};
 use rayon::prelude::*;
@@ -33,7 +32,7 @@ impl Model<'_> {
                 let mut scale = state.scale[f.stack];
                 let mut sum = self.sum_e(k, scenes[k].as_ref(), (chain, state), scale);
                 if matches!(f.shown, Shown::Bead(..)) {
-                    let own = self.own_scale(k, state, &sum);
+                    let own = self.own_scale(k, &sum, state, chain);
                     scale *= own;
                     sum *= own as f32;
                 }
@@ -65,9 +64,7 @@ impl Model<'_> {
                     variance *= &self.bent(k, &light_e, &variance, (chain, previous));
                 }
                 if matches!(f.shown, Shown::Bead(..)) {
-                    let error = self.psf_error * noise.gain_dn_per_e;
-                    let light2 = blur_within(&light_e.mapv(|e| e * e), PSF_ERROR_PX);
-                    variance.zip_mut_with(&light2, |v, l2| *v += (error * error) as f32 * l2);
+                    self.add_psf_error(&mut variance, &light_e);
                 }
                 Zip::from(&mut inverse_sigma).and(&dn).and(&detail).and(&mut residual_dn).and(&variance).for_each(
                     |w, &mu, &v, r, &variance| {
@@ -131,23 +128,45 @@ impl Model<'_> {
         variance
     }
 
+    /// Adds to a variance what errors of the PSFs make of it in the frame of a single bead.
+    fn add_psf_error(&self, variance: &mut Array2<f32>, light_e: &Array2<f32>) {
+        let error = self.psf_error * self.forward.noise().gain_dn_per_e;
+        let light2 = blur_within(&light_e.mapv(|e| e * e), PSF_ERROR_PX);
+        variance.zip_mut_with(&light2, |v, l2| *v += (error * error) as f32 * l2);
+    }
+
     /// Light of a bead's frame over the expected light, by least squares: bead frames may have been normalised one by
-    /// one.
-    fn own_scale(&self, k: usize, state: &State, sum_e: &Array2<f32>) -> f64 {
+    /// one. First all pixels count alike, then by their variance at the light that was found. What acts on the light on
+    /// the sensor acts on the expected light, too.
+    fn own_scale(&self, k: usize, sum_e: &Array2<f32>, state: &State, chain: &Chain) -> f64 {
         let (f, noise) = (&self.seen.frames[k], self.forward.noise());
-        let slopes = state.background_e.get(f.stack).copied().unwrap_or_default();
-        let gain = noise.gain_dn_per_e * f.info.exposure_ms / self.exposure_ms;
-        let background = |at: (usize, usize)| {
-            let terms = slope_terms(sum_e.dim(), [at.0, at.1]);
-            gain * terms.iter().zip(&slopes).map(|(t, s)| t * s).sum::<f64>()
+        let lit = |scale: f64| self.lit_with(k, (sum_e * scale as f32, None), state, (chain, None));
+        let dn = |light_e: Array2<f32>| self.dn(k, light_e, chain, None, state.black_dn);
+        let dark = dn(lit(0.0));
+        let usable = |(r, c): (usize, usize), y: f32| {
+            f.cut.as_ref().is_none_or(|cut| cut.holds(r, c)) && f64::from(y) < noise.saturation_dn
         };
-        let (mut top, mut bottom) = (0.0, 0.0);
-        let measured = |r: usize, c: usize| f.cut.as_ref().is_none_or(|cut| cut.holds(r, c));
-        for ((at, y), e) in f.measured.indexed_iter().zip(sum_e).filter(|((at, _), _)| measured(at.0, at.1)) {
-            top += (f64::from(*y) - noise.black_level_dn - background(at)) * f64::from(*e);
-            bottom += f64::from(*e).powi(2) * noise.gain_dn_per_e;
+        let (mut scale, mut variance) = (1.0, Array2::ones(sum_e.dim()));
+        for _ in 0..2 {
+            let (mut top, mut bottom) = (0.0, 0.0);
+            for (((at, y), mu), (dark, variance)) in
+                f.measured.indexed_iter().zip(&dn(lit(scale))).zip(dark.iter().zip(&variance))
+            {
+                if usable(at, *y) {
+                    let light = f64::from(mu - dark);
+                    top += f64::from(y - dark) * light / f64::from(*variance);
+                    bottom += light * light / f64::from(*variance);
+                }
+            }
+            if !(bottom > 0.0 && top > 0.0) {
+                break;
+            }
+            scale *= top / bottom;
+            let light_e = lit(scale);
+            variance = self.variance_dn2(&light_e);
+            self.add_psf_error(&mut variance, &light_e);
         }
-        if bottom > 0.0 && top > 0.0 { top / bottom } else { 1.0 }
+        scale
     }
 
     /// The expected frame `k` for a light on the sensor, DN.

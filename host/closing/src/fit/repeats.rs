@@ -7,12 +7,13 @@
 
 use super::cell::Cell;
 use super::derivative::{Expansion, Varied};
-use super::kurtosis::{excess_kurtosis, kurtosis_variance};
+use super::features::{FEATURES, Features, features};
+use super::kurtosis::kurtosis_variance;
 use super::model::Model;
 use super::same::{SMOOTH_PX, shows_the_same};
 use super::state::{Column, Predicted, State, Term};
 use crate::data::Shown;
-use ndarray::{Array1, Array2, Axis, s};
+use ndarray::{Array1, Array2};
 use ommatidia_physics::effects::{Chain, Effect, Stage, blur_within};
 use ommatidia_physics::linalg::{SymmetricEigen, symmetric_eigen};
 use ommatidia_session::Role;
@@ -21,11 +22,6 @@ use rand::{Rng, RngExt};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-/// Number of features of one level of light: variance; correlation along the row, along the column, diagonally; excess
-/// kurtosis; variance common to the pixels of a row, of a column.
-pub(crate) const FEATURES: usize = 7;
-/// One value for each feature.
-pub(crate) type Features = [f64; FEATURES];
 /// Standard error of a feature that is not measured: a million times that of a measured one, and no more, since both
 /// share a covariance matrix whose inverse must hold the small one to many digits.
 const UNKNOWN: f64 = 1e4;
@@ -288,34 +284,6 @@ fn scatter_dn(model: &Model<'_>, now: &[Predicted], pair: (usize, usize)) -> f64
 fn outliers(model: &Model<'_>, now: &[Predicted], pair: (usize, usize)) -> usize {
     let sigma_dn = scatter_dn(model, now, pair).max(COARSE_DN / 2.0) * std::f64::consts::SQRT_2;
     differences_dn(model, now, pair).into_iter().filter(|d| f64::from(*d) > FAR * sigma_dn).count()
-}
-
-/// Features of a standardised difference; their mean is zero for white noise of variance one.
-fn features(mut d: Array2<f32>) -> Features {
-    // A flicker of the lamp changes all pixels together and is no noise of the sensor.
-    let mean = d.mean().unwrap_or(0.0);
-    d.mapv_inplace(|v| v - mean);
-    let (rows, cols) = d.dim();
-    let n = (rows * cols).max(1) as f64;
-    let together = |dr: usize, dc: usize| -> f64 {
-        if rows <= dr || cols <= dc {
-            return 0.0;
-        }
-        let (a, b) = (d.slice(s![..rows - dr, ..cols - dc]), d.slice(s![dr.., dc..]));
-        a.iter().zip(&b).map(|(x, y)| f64::from(x * y)).sum::<f64>() / n
-    };
-    let shared = |axis: usize| -> f64 {
-        let lines = d.axis_iter(Axis(axis));
-        let squares: f64 = lines
-            .map(|line| {
-                let sum: f64 = line.iter().map(|v| f64::from(*v)).sum();
-                sum * sum / line.len().max(1) as f64 - 1.0
-            })
-            .sum();
-        squares / d.len_of(Axis(axis)).max(1) as f64
-    };
-    let tails = excess_kurtosis(&d);
-    [together(0, 0) - 1.0, together(0, 1), together(1, 0), together(1, 1), tails, shared(0), shared(1)]
 }
 
 /// Errors of the features of all levels.

@@ -30,10 +30,12 @@ const MOST: usize = 6;
 const PART: f64 = 0.02;
 /// Maximum number of terms without a name.
 const MOST_UNNAMED: usize = 3;
-/// Errors of the PSFs between calibrated positions may feign an effect that explains this share of them. They are the
-/// relative error times the light of scenes of known objects; in frames of single beads, where no other focus averages
-/// them, they are taken to be as large as the noise.
+/// Errors of the PSFs between calibrated positions may feign an effect that explains this share of them: of the relative
+/// error times the light of scenes of known objects.
 const FEIGNED: f64 = 0.1;
+/// The same in frames of single beads, where no other focus averages the errors and all beads have much the same: share
+/// of the excess of chi-squared.
+const FEIGNED_IN_BEADS: f64 = 0.5;
 /// Significance of wings of the noise, standard deviations, below which larger noise is no sign of an effect that makes
 /// wings.
 const WINGS: f64 = 3.0;
@@ -210,22 +212,31 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
-    /// Fall of chi-squared that errors of the PSFs may feign: more than nothing where beads alone show the optics, and
-    /// where the PSFs between the positions of the calibration are known worse than its noise allows.
+    /// Fall of chi-squared that errors of the PSFs may feign: where beads alone show the optics, half of the excess, and
+    /// no more than a tenth of the noise; in scenes more than nothing where the PSFs between the positions of the
+    /// calibration are known worse than its noise allows.
     fn feigned(&self) -> f64 {
         let seen = self.model.seen;
-        let shown = |f: &&Frame| matches!(f.shown, Shown::Object(_));
-        if seen.frames.iter().any(|f| shown(&f)) {
-            let black = self.model.forward.noise().black_level_dn;
-            let squared_light = |(f, here): (&Frame, &Predicted)| {
-                let signal = |(y, w): (&f32, &f32)| ((f64::from(*y) - black) * f64::from(*w)).powi(2);
-                f.measured.iter().zip(&here.inverse_sigma).map(signal).sum::<f64>()
+        let of = |shows: fn(&Shown) -> bool| {
+            let training = seen.frames.iter().zip(&*self.now.predicted);
+            training.filter(move |(f, _)| shows(&f.shown) && !f.held_out)
+        };
+        let is_bead: fn(&Shown) -> bool = |shown| matches!(shown, Shown::Bead(_));
+        if of(is_bead).next().is_some() {
+            let excess = |here: &Predicted| {
+                let of_pixel = |(r, w): (&f32, &f32)| f64::from(r * w).powi(2) - f64::from(u8::from(*w > 0.0));
+                here.residual_dn.iter().zip(&here.inverse_sigma).map(of_pixel).sum::<f64>()
             };
-            let training = seen.frames.iter().zip(&*self.now.predicted).filter(|(f, _)| shown(f) && !f.held_out);
-            return FEIGNED * self.model.coarse_error.powi(2) * training.map(squared_light).sum::<f64>();
+            let all = of(is_bead).map(|(_, here)| excess(here)).sum::<f64>().max(0.0);
+            return (FEIGNED_IN_BEADS * all).min(FEIGNED * (of(is_bead).count() * seen.pixels.len()) as f64);
         }
-        let beads = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Bead(_)) && !f.held_out).count();
-        FEIGNED * (beads * seen.pixels.len()) as f64
+        let black = self.model.forward.noise().black_level_dn;
+        let squared_light = |(f, here): (&Frame, &Predicted)| {
+            let signal = |(y, w): (&f32, &f32)| ((f64::from(*y) - black) * f64::from(*w)).powi(2);
+            f.measured.iter().zip(&here.inverse_sigma).map(signal).sum::<f64>()
+        };
+        let objects = of(|shown| matches!(shown, Shown::Object(_)));
+        FEIGNED * self.model.coarse_error.powi(2) * objects.map(squared_light).sum::<f64>()
     }
 
     /// What casts a shadow on weaker effects: what the strongest effect explains, or, beside one, the excess that is left

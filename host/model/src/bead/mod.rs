@@ -16,4 +16,5 @@ pub(crate) use rays::PASSES;
 pub use rays::{RayFit, fit_chief_rays};
 pub(crate) use scan::check_grid;
 pub use scan::{Bead, BeadScan};
+pub(crate) use windows::corner;
 pub use windows::{BeadCut, cut_windows};

@@ -18,6 +18,8 @@ const MARGIN: usize = 6;
 const SATURATED_ALLOWED: usize = 2;
 /// Shifts below this, px, are rounding errors of the positions in the table, and are ignored.
 const SAME_PIXEL: f64 = 1e-3;
+/// Least mean variance of a pixel, as a share of that without light: noise of few beads could make it negative.
+const LEAST_VARIANCE: f64 = 0.5;
 
 /// How bead windows are cut.
 #[derive(Clone, Copy, Debug)]
@@ -51,7 +53,7 @@ pub fn cut_windows(
     };
     let mut windows: Vec<LensWindows> = (0..lenses).map(window).collect();
     let mut saturated = [0usize; 2];
-    let (mut truncated, mut cuts) = (0, 0);
+    let (mut truncated, mut cuts, mut dark_dn2) = (0, 0, 0.0);
     for n in 0..beads {
         let (frame, cut) = scan.cut_light_dn(n)?;
         cuts += usize::from(cut.is_some());
@@ -75,8 +77,11 @@ pub fn cut_windows(
         }
         saturated[0] += saturated_here;
         saturated[1] += usize::from(saturated_here > 0);
-        to_scale(scan, n, (scale, total), &mut windows)?;
+        dark_dn2 += to_scale(scan, n, (scale, total), &mut windows)?;
         step();
+    }
+    for variance in windows.iter_mut().flat_map(|w| &mut w.variance_dn2) {
+        *variance = variance.max(LEAST_VARIANCE * dark_dn2);
     }
     let mut warnings = Vec::new();
     if saturated[0] > 0 {
@@ -104,14 +109,15 @@ pub(crate) fn corner(manifest: &Manifest, rays: &ChiefRays, l: usize) -> [isize;
     [0, 1].map(|a| (rays.anchors_px[l][a] - (size[a] as f64 - 1.0) / 2.0).round() as isize)
 }
 
-/// Scales the windows of frame `n` to the reference exposure, or to unit light for a normalised scan. `total` includes
-/// the light in the margins: light that distortion moves out of a window still belongs to the bead.
+/// Scales the windows of frame `n` to the reference exposure, or to unit light for a normalised scan, and returns the
+/// variance of a pixel without light, as a share of the mean over the scan, DN^2. `total` includes the light in the
+/// margins: light that distortion moves out of a window still belongs to the bead.
 fn to_scale(
     scan: &BeadScan,
     n: usize,
     (scale, total): (BeadScale, f64),
     windows: &mut [LensWindows],
-) -> Result<(), BeadError> {
+) -> Result<f64, BeadError> {
     let noise = scan.noise();
     let px = windows.first().map_or(0, |w| w.light_dn.ncols());
     let side = (px as f64).sqrt() + 2.0 * MARGIN as f64;
@@ -124,15 +130,16 @@ fn to_scale(
         BeadScale::Physical => scan.beads[n].to_reference,
         BeadScale::PerFrame => 1.0 / total,
     };
-    let dark = noise.black_level_dn + scan.background_dn(n);
+    let share = factor * factor / scan.beads.len() as f64;
+    let dark_dn2 = noise.variance_dn2(noise.black_level_dn + scan.background_dn(n));
     for window in windows {
         for (v, variance) in window.light_dn.row_mut(n).into_iter().zip(&mut window.variance_dn2) {
-            let here = noise.variance_dn2(dark + f64::from(*v)) * factor * factor;
-            *variance += here / scan.beads.len() as f64;
+            // Noise below the black level counts with its sign: cut off at zero it would make the mean too large.
+            *variance += (dark_dn2 + noise.gain_dn_per_e * f64::from(*v)) * share;
             *v = (f64::from(*v) * factor) as f32;
         }
     }
-    Ok(())
+    Ok(dark_dn2 * share)
 }
 
 fn dim_lenses(windows: &[LensWindows], rays: &ChiefRays) -> Vec<Warning> {

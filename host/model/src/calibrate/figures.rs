@@ -86,6 +86,7 @@ impl Calibration {
             "off_grid_error": i.quality.off_grid_error,
             "one_psf_error": i.quality.one_psf_error,
             "noise_floor": i.quality.noise_floor,
+            "frame_error": i.quality.frame_error,
             "anchors_px": anchors,
             "magnification": i.geometry.magnification,
             "chief_ray_rms_px": i.quality.chief_ray_rms_px,

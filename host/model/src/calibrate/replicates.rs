@@ -61,8 +61,8 @@ pub(super) fn replicates(
     Ok(((0..asked).map(refit).collect::<Result<_, _>>()?, None))
 }
 
-/// Group (0 to count - 1) of each bead.
-fn groups(planes: &[Plane], count: usize) -> Vec<usize> {
+/// Group (0 to count - 1) of each bead: the replicate that has not seen it.
+pub(super) fn groups(planes: &[Plane], count: usize) -> Vec<usize> {
     let beads = planes.iter().flat_map(|p| &p.beads).max().map_or(0, |n| n + 1);
     let mut groups = vec![0; beads];
     for plane in planes {

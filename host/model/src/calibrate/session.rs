@@ -2,6 +2,7 @@
 
 use super::coarse;
 use super::error::CalibrateError;
+use super::frames;
 use super::light_unit::{fit_light_unit, set_light_unit};
 use super::model::{Model, ModelConfig};
 use super::replicates::{ReplicateRequest, replicates};
@@ -180,7 +181,7 @@ pub fn calibrate(
         let (replicates, note) = replicates(&model, request)?;
         notes.extend(fitted.warnings.iter().chain(&warnings).map(ToString::to_string));
         notes.extend(note);
-        Instrument {
+        let mut instrument = Instrument {
             psf,
             replicates,
             quality: Quality {
@@ -202,7 +203,9 @@ pub fn calibrate(
             effects: noise.bend.iter().map(sensor_only::bend_effect).collect(),
             light_unit: LightUnit::Bead,
             pupils: Default::default(),
-        }
+        };
+        instrument.quality.frame_error = frames::error(&instrument, &mut scan, &planes)?;
+        instrument
     };
     match fit_light_unit(session, &instrument)? {
         Some(unit) => set_light_unit(&mut instrument, unit),

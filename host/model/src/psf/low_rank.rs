@@ -1,7 +1,7 @@
 //! The low-rank model of the PSFs as data: basis PSFs and coefficient maps.
 
 use super::nodes::Taps;
-use ndarray::{Array4, Array5, s};
+use ndarray::{Array2, Array4, Array5, Axis, s};
 
 /// Per-lens truncated SVD, Eq. 2: `H_l(p; x, y) = sum_k M_lk(x, y) B_lk(p)`, p relative to the chief ray.
 ///
@@ -29,6 +29,26 @@ impl LowRankPsf {
     pub fn depth_nearest(&self, z_um: f64) -> usize {
         let off = |i: &usize| (self.node_depths_um[*i] - z_um).abs();
         (0..self.node_depths_um.len()).min_by(|a, b| off(a).total_cmp(&off(b))).unwrap_or(0)
+    }
+
+    /// The PSF of a lens for a source at object pixel `at_px` (row, col) at the depth of node `depth`, Eq. 2:
+    /// [window, window], DN for a unit source.
+    pub fn window(&self, lens: usize, at_px: [f64; 2], depth: usize) -> Array2<f64> {
+        let (_, rank, window, _) = self.basis.dim();
+        let [rows, cols] = [Taps::at(&self.node_rows_px, at_px[0]), Taps::at(&self.node_cols_px, at_px[1])];
+        let mut sum = Array2::zeros((window, window));
+        for k in 0..rank {
+            let mut coefficient = 0.0;
+            for (i, wi) in rows.weights.iter().enumerate().take(rows.count) {
+                for (j, wj) in cols.weights.iter().enumerate().take(cols.count) {
+                    let node = self.coefficients[[lens, k, depth, rows.first + i, cols.first + j]];
+                    coefficient += f64::from(wi * wj * node);
+                }
+            }
+            let basis = self.basis.index_axis(Axis(0), lens);
+            sum.zip_mut_with(&basis.index_axis(Axis(0), k), |s, b| *s += coefficient * f64::from(*b));
+        }
+        sum
     }
 
     /// The model at depth `z_um`, interpolated between the calibrated depths; beyond them the nearest depth holds.

@@ -3,7 +3,6 @@
 use ndarray::{Array1, Array2, ArrayView1};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_model::psf::nodes::Taps;
 use ommatidia_shared::blob::Size;
 use ommatidia_shared::watch::{MOMENTS, blocks};
 
@@ -98,7 +97,7 @@ fn point(instrument: &Instrument, forward: &Forward, basis: Basis, at: [usize; 2
     let mut light = 0.0;
     for (lens, corner) in corners.iter().enumerate() {
         let Some(corner) = corner else { continue };
-        let window = psf(instrument, lens, at);
+        let window = instrument.psf.window(lens, at.map(|v| v as f64), instrument.psf.depth_nearest(0.0));
         let image = |by: [isize; 2]| {
             let mut sums = zero();
             for ((r, c), v) in window.indexed_iter() {
@@ -126,25 +125,4 @@ fn point(instrument: &Instrument, forward: &Forward, basis: Basis, at: [usize; 2
     point.whole /= light;
     point.change.iter_mut().for_each(|change| *change /= light);
     Some(point)
-}
-
-/// PSF of an object pixel through a lens, [window, window], DN for a unit source, at the depth nearest to 0.
-fn psf(instrument: &Instrument, lens: usize, at: [usize; 2]) -> Array2<f64> {
-    let psf = &instrument.psf;
-    let (_, rank, window, _) = psf.basis.dim();
-    let [rows, cols] = [Taps::at(&psf.node_rows_px, at[0] as f64), Taps::at(&psf.node_cols_px, at[1] as f64)];
-    let depth = psf.depth_nearest(0.0);
-    let mut sum = Array2::zeros((window, window));
-    for k in 0..rank {
-        let mut coefficient = 0.0;
-        for (i, wi) in rows.weights.iter().enumerate().take(rows.count) {
-            for (j, wj) in cols.weights.iter().enumerate().take(cols.count) {
-                let node = psf.coefficients[[lens, k, depth, rows.first + i, cols.first + j]];
-                coefficient += f64::from(wi * wj * node);
-            }
-        }
-        let basis = psf.basis.index_axis(ndarray::Axis(0), lens);
-        sum.zip_mut_with(&basis.index_axis(ndarray::Axis(0), k), |s, b| *s += coefficient * f64::from(*b));
-    }
-    sum
 }

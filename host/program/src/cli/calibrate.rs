@@ -180,6 +180,9 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     line("off-grid error", format!("{:.4}", q.off_grid_error), "NRMSE on held-out positions (checkerboard)");
     line("  of one PSF per lens", format!("{:.4}", q.one_psf_error), "the same positions");
     line("  of noise alone", format!("{:.4}", q.noise_floor), "in the bead frames");
+    if !i.replicates.is_empty() {
+        line("error of bead frames", format!("{:.4}", q.frame_error), "NRMSE on held-out frames, noise deducted");
+    }
     if let Some(pupils) = i.pupil_model().map(|p| p.summary()) {
         let error = format!("{:.1} % off", 100.0 * pupils.misfit);
         line("pupils", error, "round ones with Zernike terms; they predict other depths from this one plane");

@@ -147,6 +147,7 @@ mod tests {
             known: true,
             stage: "optics".into(),
             added: true,
+            changed: false,
             z: 40.0,
             excess_explained: None,
             held_out_gain: 1.0,

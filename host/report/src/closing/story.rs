@@ -113,6 +113,7 @@ fn sentence(e: &Effect, i: usize) -> Markup {
     let others: Vec<String> = e.ambiguity.iter().map(|id| words::name(id)).collect();
     html! {
         @if find(&e.id).is_some_and(|effect| effect.is_of_truths()) { "The truths of the session are blurred: " }
+        @else if e.changed { "The instrument had this effect already, with another strength: " }
         @else if i == 0 { "The model lacked " } @else { "It also lacked " }
         b { (title(e)) }
         @if let Some(v) = leading(e) { ", " (v) }

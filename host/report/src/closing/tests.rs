@@ -17,6 +17,7 @@ fn effect(id: &str, params: Vec<Value>) -> Effect {
         known: !id.starts_with("unknown"),
         stage: "optics".into(),
         added: true,
+        changed: false,
         z: 42.0,
         excess_explained: Some(0.93),
         held_out_gain: 1234.0,
@@ -161,6 +162,16 @@ fn a_residual_has_no_after() {
     for text in ["Residual after", ">after<", "→", "Effects found", "Not found"] {
         assert!(!page.contains(text), "{text}");
     }
+}
+
+#[test]
+fn an_effect_that_the_instrument_had_was_not_lacking() {
+    let mut a = account();
+    assert!(render(&a, Asked::Close).contains("The model lacked"));
+    a.closing.effects[0].changed = true;
+    let page = render(&a, Asked::Close);
+    holds(&page, &["The instrument had this effect already, with another strength:"]);
+    assert!(!page.contains("The model lacked"));
 }
 
 #[test]
