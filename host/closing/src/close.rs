@@ -144,7 +144,7 @@ fn judged(
     notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
     notes.extend((JudgedOn::of(seen) == JudgedOn::SelfConsistency).then(|| UNKNOWN_NOTE.into()));
     notes.extend(chosen_note(seen));
-    notes.extend(calibration_note((structured, within), verdict, &[], &instrument.quality));
+    notes.extend(calibration_note((structured, within), verdict, &[], (&instrument.quality, model.shows_beads())));
     let closing = Closing {
         session: options.session_name.into(),
         calibrated_on: options.calibrated_on.iter().map(|c| c.file.clone()).collect(),

@@ -125,7 +125,6 @@ impl PredictionFiguresFixture {
                 mean_e: [3.0, 1.0, -2.0],
                 sigma_e: [0.02, 0.05, 0.05],
                 added: true,
-                changed: false,
                 nrmse_without: 0.05,
                 chi2_ndf_without: 1.4,
             }),

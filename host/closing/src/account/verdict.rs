@@ -136,11 +136,18 @@ pub(crate) fn calibration_note(
     (structured, within): (bool, bool),
     verdict: Verdict,
     effects: &[Effect],
-    quality: &Quality,
+    (quality, of_beads): (&Quality, bool),
 ) -> Option<String> {
     let unexplained = verdict != Verdict::Adequate && effects.is_empty();
-    let errs = 100.0 * quality.off_grid_excess();
     let distinguishes = "A finer bead scan, or a higher rank where `calibrate` says so, distinguishes the two";
+    if structured && within && of_beads {
+        return Some(format!(
+            "a test sees structure in what is left. It is no larger than what the calibration itself errs by in the \
+             frame of a bead ({:.1} %, noise deducted), so it counts as the calibration's own",
+            100.0 * quality.bead_error()
+        ));
+    }
+    let errs = 100.0 * quality.off_grid_excess();
     if structured && within {
         return Some(format!(
             "a test sees structure in what is left. It is no larger than what the calibration itself errs by between \
@@ -325,13 +332,16 @@ mod tests {
     #[test]
     fn a_coarse_calibration_is_named_where_nothing_explains_the_structure() {
         let coarse = Quality { off_grid_error: 0.05, noise_floor: 0.03, ..Quality::default() };
-        let note = |verdict, quality| calibration_note((true, false), verdict, &[], quality);
+        let note = |verdict, quality| calibration_note((true, false), verdict, &[], (quality, false));
         assert!(note(Verdict::Incomplete, &coarse).is_some_and(|text| text.contains("errs by 4.0 %")));
         assert_eq!(note(Verdict::Adequate, &coarse), None);
         let fine = Quality { off_grid_error: 0.035, ..coarse };
         assert_eq!(note(Verdict::Incomplete, &fine), None);
-        let within = calibration_note((true, true), Verdict::Adequate, &[], &fine);
+        let within = calibration_note((true, true), Verdict::Adequate, &[], (&fine, false));
         assert!(within.is_some_and(|text| text.contains("1.8 %")));
-        assert_eq!(calibration_note((false, true), Verdict::Adequate, &[], &fine), None);
+        let sharp = Quality { frame_error: 0.023, ..fine.clone() };
+        let of_beads = calibration_note((true, true), Verdict::Adequate, &[], (&sharp, true));
+        assert!(of_beads.is_some_and(|text| text.contains("in the frame of a bead (2.3 %")));
+        assert_eq!(calibration_note((false, true), Verdict::Adequate, &[], (&fine, false)), None);
     }
 }

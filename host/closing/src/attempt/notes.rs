@@ -58,7 +58,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     let structure = (structured(dependences), basis.within_calibration(now));
     let of_rest: Vec<String> = rest_notes(model, now, verdict)
         .into_iter()
-        .chain(calibration_note(structure, verdict, effects, &instrument.quality))
+        .chain(calibration_note(structure, verdict, effects, (&instrument.quality, basis.model.shows_beads())))
         .collect();
     if of_rest.is_empty() {
         notes.extend(small_note(dependences, verdict, effects, said.after));

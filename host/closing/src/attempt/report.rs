@@ -8,7 +8,6 @@ use crate::account::{
     Accepted, Closed, Closing, Effect, Findings, Judged, Left, Names, Nearest, ROW_NOISE, Verdict, effects, harmful,
     imitated, pictured, registrations, rejected, shadowed,
 };
-use crate::data::Shown;
 use crate::evidence::{compared, curves, noise_left, structured};
 use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames, rhythm};
 use crate::options::{CloseError, CloseOptions};
@@ -105,8 +104,7 @@ fn left(basis: &Basis<'_>, settled: &Settled) -> Left {
 /// Relative error of the PSFs in the frames of the optics.
 fn psf_error(basis: &Basis<'_>) -> f64 {
     let quality = &basis.instrument.quality;
-    let of_beads = basis.model.seen.frames.iter().any(|f| matches!(f.shown, Shown::Bead(_)));
-    if of_beads { quality.bead_error() } else { quality.off_grid_excess() }
+    if basis.model.shows_beads() { quality.bead_error() } else { quality.off_grid_excess() }
 }
 
 /// Which of the effects that were found are named as causes.

@@ -108,6 +108,11 @@ impl<'a> Model<'a> {
         self.seen.frames.iter().all(|f| f.shown == Shown::Unknown)
     }
 
+    /// Whether frames of single beads show the optics.
+    pub(crate) fn shows_beads(&self) -> bool {
+        self.seen.frames.iter().any(|f| matches!(f.shown, Shown::Bead(_)))
+    }
+
     /// Whether the light of any frame is known, an object, a bead, or even light, or estimated.
     pub fn sees_known_light(&self) -> bool {
         !self.seen.frames.iter().all(|f| matches!(f.shown, Shown::Dark | Shown::Unknown))

@@ -35,7 +35,7 @@ const MOST_UNNAMED: usize = 3;
 const FEIGNED: f64 = 0.1;
 /// The same in frames of single beads, where no other focus averages the errors and all beads have much the same: share
 /// of the excess of chi-squared.
-const FEIGNED_IN_BEADS: f64 = 0.5;
+const FEIGNED_IN_BEADS: f64 = 0.25;
 /// Significance of wings of the noise, standard deviations, below which larger noise is no sign of an effect that makes
 /// wings.
 const WINGS: f64 = 3.0;
@@ -212,8 +212,8 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
-    /// Fall of chi-squared that errors of the PSFs may feign: where beads alone show the optics, half of the excess, and
-    /// no more than a tenth of the noise; in scenes more than nothing where the PSFs between the positions of the
+    /// Fall of chi-squared that errors of the PSFs may feign: where beads alone show the optics, a quarter of the excess,
+    /// and no more than a tenth of the noise; in scenes more than nothing where the PSFs between the positions of the
     /// calibration are known worse than its noise allows.
     fn feigned(&self) -> f64 {
         let seen = self.model.seen;

@@ -3,7 +3,7 @@
 use super::{accounted, closed, measured, names, subject};
 use ndarray::{Array3, Axis};
 use ommatidia_closing::study::sessions::Holds;
-use ommatidia_closing::{Account, CloseRequest, Closing, JudgedOn, Progress, close_session};
+use ommatidia_closing::{Account, CloseRequest, Closing, JudgedOn, Progress, Verdict, close_session};
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::metrics::compare;
@@ -120,6 +120,20 @@ fn beads_judge_the_optics_beside_unknown_scenes() {
     assert_eq!((closing.judged_on, names(&closing)), (JudgedOn::Known, vec!["array_shift"]));
     assert!(closing.held_out_frames.len() == 24 && closing.after.chi2_ndf < closing.before.chi2_ndf);
     assert!(!is_limited(&closing, "motion_blur") || is_limited(&closing, "lens_decentre"));
+}
+
+/// Darker edges of the sensor change the light of each bead's frame, which is fitted behind them. Then no more is left
+/// than where nothing is wrong.
+#[test]
+fn a_strong_vignetting_is_named_on_beads_and_nothing_on_beads_is_nothing() {
+    let closing = with(Holds::BeadsAndUnknown, "vignetting", &[("v", 0.5)], 807);
+    assert_eq!((closing.verdict, names(&closing)), (Verdict::Adequate, vec!["vignetting"]));
+    let v = &closing.effects[0].params[0];
+    assert!((v.value - 0.5).abs() < 0.02, "{v:?}");
+    let folder = tempfile::tempdir().unwrap();
+    let empty = closed(&measured(Holds::BeadsAndUnknown, &[], &folder.path().join("session"), 808));
+    assert_eq!((empty.verdict, empty.effects.len()), (Verdict::Adequate, 0));
+    assert!((closing.after.chi2_ndf - empty.after.chi2_ndf).abs() < 0.02, "{:?} {:?}", closing.after, empty.after);
 }
 
 #[test]
