@@ -5,8 +5,8 @@ use super::kurtosis::excess_kurtosis;
 use ndarray::{Array2, Axis, s};
 
 /// Number of features of one level of light: variance; correlation along the row, along the column, diagonally; excess
-/// kurtosis; variance common to the pixels of a row, of a column. The first five are of pixels without the means of their
-/// row and column, as in an analysis of variance (Scheffe, *The Analysis of Variance*, 1959, ch. 4).
+/// kurtosis; variance common to the pixels of a row, of a column. The first five are of pixels without the means of
+/// their row and column, as in an analysis of variance (Scheffe, *The Analysis of Variance*, 1959, ch. 4).
 pub(crate) const FEATURES: usize = 7;
 /// One value for each feature.
 pub(crate) type Features = [f64; FEATURES];

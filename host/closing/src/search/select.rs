@@ -30,8 +30,8 @@ const MOST: usize = 6;
 const PART: f64 = 0.02;
 /// Maximum number of terms without a name.
 const MOST_UNNAMED: usize = 3;
-/// Errors of the PSFs between calibrated positions may feign an effect that explains this share of them: of the relative
-/// error times the light of scenes of known objects.
+/// Errors of the PSFs between calibrated positions may feign an effect that explains this share of them: of the
+/// relative error times the light of scenes of known objects.
 const FEIGNED: f64 = 0.1;
 /// The same in frames of single beads, where no other focus averages the errors and all beads have much the same: share
 /// of the excess of chi-squared.
@@ -212,9 +212,9 @@ impl<'m, 'a> Search<'m, 'a> {
         }
     }
 
-    /// Fall of chi-squared that errors of the PSFs may feign: where beads alone show the optics, a quarter of the excess,
-    /// and no more than a tenth of the noise; in scenes more than nothing where the PSFs between the positions of the
-    /// calibration are known worse than its noise allows.
+    /// Fall of chi-squared that errors of the PSFs may feign: where beads alone show the optics, a quarter of the
+    /// excess, and no more than a tenth of the noise; in scenes more than nothing where the PSFs between the positions
+    /// of the calibration are known worse than its noise allows.
     fn feigned(&self) -> f64 {
         let seen = self.model.seen;
         let of = |shows: fn(&Shown) -> bool| {

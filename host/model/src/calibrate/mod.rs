@@ -1,9 +1,9 @@
 //! The act of calibration: session -> instrument.
 //!
 //! [`calibrate`] measures noise, chief rays and bead windows, fits the low-rank model (`model`) and the refits that
-//! show its uncertainty (`replicates`), predicts bead frames with refits that have not seen them (`frames`), and fixes the unit of light (`light_unit`). It notes where the PSFs between the
-//! positions of the scan are known less well than the noise allows (`coarse`). A session without a bead scan calibrates
-//! the sensor alone (`sensor_only`).
+//! show its uncertainty (`replicates`), predicts bead frames with refits that have not seen them (`frames`), and fixes
+//! the unit of light (`light_unit`). It notes where the PSFs between the positions of the scan are known less well than
+//! the noise allows (`coarse`). A session without a bead scan calibrates the sensor alone (`sensor_only`).
 //!
 //! ```
 //! use ommatidia_model::calibrate::{CalibrateConfig, calibrate};

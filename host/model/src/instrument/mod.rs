@@ -193,8 +193,8 @@ pub struct Quality {
     /// could not be measured.
     pub outside_window: f64,
     /// NRMSE, without what noise makes of it, of bead frames that are predicted by the replicates that have not seen
-    /// them, each at its own brightness. Unlike the errors of windows it holds what is lost where a sharp focus is moved
-    /// by a fraction of a pixel. 0 without replicates.
+    /// them, each at its own brightness. Unlike the errors of windows it holds what is lost where a sharp focus is
+    /// moved by a fraction of a pixel. 0 without replicates.
     pub frame_error: f64,
 }
 
@@ -208,8 +208,8 @@ impl Quality {
         (self.off_grid_error.powi(2) - self.noise_floor.powi(2)).max(0.0).sqrt()
     }
 
-    /// How badly the frame of a single bead is predicted, without noise: the larger one of [`Self::off_grid_excess`] and
-    /// [`Self::frame_error`].
+    /// How badly the frame of a single bead is predicted, without noise: the larger one of [`Self::off_grid_excess`]
+    /// and [`Self::frame_error`].
     pub fn bead_error(&self) -> f64 {
         self.off_grid_excess().max(self.frame_error)
     }
