@@ -165,6 +165,26 @@ impl Design {
         errors: &Errors,
         scope: Scope<'_>,
     ) -> Result<Self, ForwardError> {
+        let fitted = columns.clone();
+        Self::of(model, at, (columns, &fitted), errors, scope)
+    }
+
+    /// The residuals alone, in all cells, of a state of which all `fitted` columns are fitted: no frame is
+    /// differentiated.
+    ///
+    /// # Errors
+    /// An object holds negative or non-finite light.
+    pub fn of_residuals(model: &Model<'_>, at: Expansion<'_>, fitted: &[Column]) -> Result<Self, ForwardError> {
+        Self::of(model, at, (Vec::new(), fitted), &Errors::default(), Scope::Whole)
+    }
+
+    fn of(
+        model: &Model<'_>,
+        at: Expansion<'_>,
+        (columns, fitted): (Vec<Column>, &[Column]),
+        errors: &Errors,
+        scope: Scope<'_>,
+    ) -> Result<Self, ForwardError> {
         let seen = model.seen;
         let whole = matches!(scope, Scope::Whole);
         let rows = columns.len() + errors.changes.len() + 1;
@@ -259,7 +279,7 @@ impl Design {
         let mut cells: Vec<Cell> = frames.into_iter().flat_map(|(cells, _)| cells).collect();
         let of_frames = cells.len();
         cells.extend(repeats::cells(model, at, &columns, errors.changes.len()));
-        cells.extend(prior::cell(model, at.state, &columns, errors.changes.len()));
+        cells.extend(prior::cell(model, at.state, (&columns, fitted), errors.changes.len()));
         // No specimen is taken out of what repeats show.
         for cell in cells[of_frames..].iter().filter(|c| !c.held_out) {
             for range in &effects {

@@ -11,14 +11,20 @@ use super::state::{Column, State};
 use super::truth::PARTS;
 use ndarray::Array2;
 
-/// The cell of the priors. None: there are none. Its indices of frame and block are two past the last.
-pub(super) fn cell(model: &Model<'_>, state: &State, columns: &[Column], replicates: usize) -> Option<Cell> {
+/// The cell of the priors of all that is `fitted`, with rows for `columns`. None: there are none. Its indices of frame
+/// and block are two past the last.
+pub(super) fn cell(
+    model: &Model<'_>,
+    state: &State,
+    (columns, fitted): (&[Column], &[Column]),
+    replicates: usize,
+) -> Option<Cell> {
     let groups = model.seen.registrations.iter().zip(&state.registration).enumerate();
     let truths = groups.filter(|(_, (group, _))| group.sigma_px > 0.0).flat_map(|(g, (group, values))| {
         (0..PARTS).map(move |part| (Column::Registration(g, part), values[part], group.sigma_px))
     });
     let wings = state.wings.iter().enumerate().map(|(i, value)| (Column::Wing(i), *value, 1.0));
-    let all: Vec<(Column, f64, f64)> = truths.chain(wings).chain(pupils(model, state, columns)).collect();
+    let all: Vec<(Column, f64, f64)> = truths.chain(wings).chain(pupils(model, state, fitted)).collect();
     if all.is_empty() {
         return None;
     }
@@ -35,10 +41,10 @@ pub(super) fn cell(model: &Model<'_>, state: &State, columns: &[Column], replica
 }
 
 /// The defocus of each lens beyond that of its pupil, where it is fitted.
-fn pupils(model: &Model<'_>, state: &State, columns: &[Column]) -> Vec<(Column, f64, f64)> {
+fn pupils(model: &Model<'_>, state: &State, fitted: &[Column]) -> Vec<(Column, f64, f64)> {
     let at = state.terms.iter().position(|t| t.id() == PUPIL_DEFOCUS);
     let own = |term: usize| (0..model.lenses()).map(move |param| Column::Own { term, param });
-    let Some(term) = at.filter(|t| own(*t).any(|c| columns.contains(&c))) else { return Vec::new() };
+    let Some(term) = at.filter(|t| own(*t).any(|c| fitted.contains(&c))) else { return Vec::new() };
     let doubts = own(term).zip(model.forward.doubts_waves()).zip(&state.terms[term].params);
     // A dead lens has none.
     doubts.filter(|((_, sigma), _)| *sigma > 0.0).map(|((column, sigma), value)| (column, *value, sigma)).collect()

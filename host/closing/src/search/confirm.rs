@@ -183,9 +183,12 @@ impl FullFits<'_, '_> {
             return Ok(Verdict::Refused(finalists.first().map_or("", |c| c.term.id())));
         };
         let id = candidate.term.id();
+        if worth <= 0.0 {
+            return Ok(Verdict::Refused(id));
+        }
         self.settle(id, &mut fits[at].1, falls.get(id).copied())?;
         let gain = self.now.held_out.deviance - fits[at].1.held_out.deviance;
-        if worth <= 0.0 || gain <= 0.0 {
+        if gain <= 0.0 {
             return Ok(Verdict::Refused(id));
         }
         let behind = costs.into_iter().map(|(id, cost)| (id, (cost - least) / heaviest)).collect();

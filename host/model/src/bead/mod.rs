@@ -2,6 +2,7 @@
 //! checks the frames.
 
 mod background;
+mod centroids;
 mod error;
 mod extent;
 mod rays;

@@ -6,6 +6,7 @@
 //! starts the fit. A robust linear regression of all centroids (Huber weights; *Robust Statistics*, 1981) gives the
 //! result.
 
+use super::centroids::{Centroid, Patches};
 use super::{BeadError, BeadScan, Warning};
 use crate::psf::ChiefRays;
 use ndarray::{Array2, ArrayView2, s};
@@ -30,14 +31,6 @@ pub struct RayFit {
     pub warnings: Vec<Warning>,
 }
 
-/// One centroid.
-struct Centroid {
-    lens: usize,
-    /// Stage displacement in nominal sensor pixels.
-    displacement: [f64; 2],
-    at: [f64; 2],
-}
-
 /// Fits the chief rays of all lenses; calls `step` once for each frame that is read.
 ///
 /// # Errors
@@ -58,13 +51,18 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
     }
     let anchors = start.iter().map(|(a, _)| *a).collect();
     let mut fit = Fit { anchors, slope: 1.0, rms_px: 0.0 };
-    let mut frames: Vec<Vec<Centroid>> = Vec::new();
+    let mut patches = Patches::new(scan.beads.len(), &dead);
     for round in 0..ROUNDS {
         let radius = (manifest.optics.psf_window_px / 2) as isize + if round == 0 { 2 } else { 0 };
-        frames.clear();
+        let mut frames: Vec<Vec<Centroid>> = Vec::new();
         for n in 0..scan.beads.len() {
-            frames.push(centroids(scan, n, manifest, &fit, &dead, radius)?);
-            step();
+            let displacement = displacement(manifest, scan.beads[n].at_px);
+            let at = |anchor: &[f64; 2]| [0, 1].map(|i| anchor[i] + fit.slope * displacement[i]);
+            let expected: Vec<[f64; 2]> = fit.anchors.iter().map(at).collect();
+            frames.push(patches.centroids(scan, n, (&expected, displacement), radius)?);
+            if round == 0 {
+                step();
+            }
         }
         fit = regress(&frames, fit, &dead, (scan, manifest))?;
     }
@@ -78,7 +76,7 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
 }
 
 /// Number of times that a calibration reads each bead frame, for progress bars.
-pub(crate) const PASSES: u64 = 5 + ROUNDS as u64;
+pub(crate) const PASSES: u64 = 6;
 
 struct Fit {
     anchors: Vec<[f64; 2]>,
@@ -202,60 +200,6 @@ fn box_blur(image: &Array2<f32>, radius: usize) -> Array2<f32> {
         ]);
         part.sum() / part.len() as f32
     })
-}
-
-/// Centroids of those foci of bead `n` that are bright and complete.
-fn centroids(
-    scan: &mut BeadScan,
-    n: usize,
-    m: &Manifest,
-    fit: &Fit,
-    dead: &[bool],
-    radius: isize,
-) -> Result<Vec<Centroid>, BeadError> {
-    let frame = scan.light_dn(n)?;
-    let sigma = scan.noise().variance_dn2(scan.noise().black_level_dn).sqrt();
-    let displacement = displacement(m, scan.beads[n].at_px);
-    let found = fit.anchors.iter().enumerate().filter(|(l, _)| !dead[*l]).filter_map(|(lens, a)| {
-        let at = [0, 1].map(|i| a[i] + fit.slope * displacement[i]);
-        centroid(&frame, at, radius, sigma).map(|at| Centroid { lens, displacement, at })
-    });
-    Ok(found.collect())
-}
-
-/// Centroid of the light in the window round `at`, less the median of its border. None if the window extends beyond the
-/// sensor, holds a saturated pixel, or has no peak of 8 sigma.
-///
-/// There is no threshold: it would cut the faint flare of coma and move the centroid towards the bright core.
-fn centroid(frame: &Array2<f32>, at: [f64; 2], radius: isize, sigma: f64) -> Option<[f64; 2]> {
-    let corner = at.map(|v| v.round() as isize - radius);
-    let side = 2 * radius + 1;
-    let fits = |low: isize, n: usize| low >= 0 && low + side <= n as isize;
-    if !(fits(corner[0], frame.nrows()) && fits(corner[1], frame.ncols())) {
-        return None;
-    }
-    let window = frame.slice(s![corner[0]..corner[0] + side, corner[1]..corner[1] + side]);
-    if window.iter().any(|v| !v.is_finite()) {
-        return None;
-    }
-    let last = side as usize - 1;
-    let border = window.indexed_iter().filter(|((r, c), _)| *r == 0 || *c == 0 || *r == last || *c == last);
-    let mut border: Vec<f32> = border.map(|(_, v)| *v).collect();
-    let middle = border.len() / 2;
-    let level = f64::from(*border.select_nth_unstable_by(middle, f32::total_cmp).1);
-    let peak = window.iter().fold(f32::NEG_INFINITY, |m, v| m.max(*v));
-    if f64::from(peak) - level < 8.0 * sigma {
-        return None;
-    }
-    let (mut sum, mut moment) = (0.0, [0.0; 2]);
-    for ((r, c), v) in window.indexed_iter() {
-        let light = f64::from(*v) - level;
-        sum += light;
-        moment[0] += light * r as f64;
-        moment[1] += light * c as f64;
-    }
-    let inside = moment.iter().all(|m| (0.0..=last as f64).contains(&(m / sum)));
-    (sum > 0.0 && inside).then(|| [corner[0] as f64 + moment[0] / sum, corner[1] as f64 + moment[1] / sum])
 }
 
 /// Huber regression of all centroids on an anchor a lens and one slope.

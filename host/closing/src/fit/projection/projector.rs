@@ -14,6 +14,7 @@ use super::products::LANES;
 use super::views::Views;
 use ndarray::Array2;
 use ommatidia_physics::linalg::{Cholesky32, NotPositive};
+use rayon::prelude::*;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
 
 /// lambda over the mean diagonal element of A' W A. What is left of a specimen has the norm `sqrt(lambda) / 2 |x|` at
@@ -71,11 +72,12 @@ impl Projector {
 
     /// Applies P to images in place, each [sensor rows, sensor cols].
     pub(crate) fn remove(&self, images: &mut [&mut Array2<f32>]) {
+        let collected: Vec<Vec<f32>> = images.par_chunks(LANES).map(|group| self.collect(group)).collect();
         // All of them are solved at once, since that reads the factor once.
-        let mut objects: Vec<f32> = images.chunks(LANES).flat_map(|group| self.collect(group)).collect();
+        let mut objects = collected.concat();
         self.factor.solve(&mut objects, images.len());
-        let objects = objects.chunks(LANES * self.views.unknowns());
-        images.chunks_mut(LANES).zip(objects).for_each(|(group, objects)| self.subtract(group, objects));
+        let objects = objects.par_chunks(LANES * self.views.unknowns());
+        images.par_chunks_mut(LANES).zip(objects).for_each(|(group, objects)| self.subtract(group, objects));
     }
 
     /// A' W v of at most [`LANES`] images, one after the other.
