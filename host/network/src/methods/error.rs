@@ -37,6 +37,17 @@ pub enum MethodError {
     /// The regularisation K is not a positive number.
     #[error("expected a positive K for the Wiener filter, found {0}")]
     Regularisation(f64),
+    /// No method is made from files of this kind.
+    #[error(
+        "{path}: expected a checkpoint, a network file (blob) or an instrument, found {found}; name a file that \
+         `train`, `quantize` or `calibrate` wrote"
+    )]
+    NoMethod {
+        /// The file.
+        path: PathBuf,
+        /// Kind of the file.
+        found: String,
+    },
     /// The file is not of a kind that the method can be made from.
     #[error("{path}: the method `{method}` needs {expected}, found {found}")]
     WrongFile {

@@ -121,13 +121,7 @@ impl MethodKind {
                 Ok(name.unwrap_or_default().into())
             }
             FileKind::Artifact(kind) if kind == "instrument" => Ok(Self::Wiener),
-            found => Err(MethodError::WrongFile {
-                path: path.into(),
-                method: "any".into(),
-                expected: "a checkpoint, a network file (blob) or an instrument",
-                found: found.to_string(),
-            }
-            .into()),
+            found => Err(MethodError::NoMethod { path: path.into(), found: found.to_string() }.into()),
         }
     }
 }
