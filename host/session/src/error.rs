@@ -99,7 +99,7 @@ pub enum SessionError {
         found: u64,
     },
     /// The file is not of the kind that its suffix promises, or it is damaged.
-    #[error("{path}: not a readable {kind} file ({detail}); write it again")]
+    #[error("{path}: not a readable {kind} file ({detail}); {}", again(.kind))]
     Format {
         /// The file.
         path: PathBuf,
@@ -111,13 +111,15 @@ pub enum SessionError {
     /// Another program is needed that is not installed.
     #[error(
         "{path}: the program {program} is needed for videos and was not found; install ffmpeg (Debian: `apt-get \
-         install ffmpeg`), or convert the video to grey frames without compression"
+         install ffmpeg`), {instead}"
     )]
     Program {
         /// The file.
         path: PathBuf,
         /// Name of the program.
         program: &'static str,
+        /// What can be done without it.
+        instead: &'static str,
     },
     /// The folder for a new session already exists and holds something else.
     #[error("{path}: already exists and is not a session of the virtual instrument; choose another name or remove it")]
@@ -160,6 +162,58 @@ impl SessionError {
     }
 
     pub(super) fn format(path: &Path, kind: &'static str, detail: impl ToString) -> Self {
-        Self::Format { path: path.into(), kind, detail: detail.to_string() }
+        // The words of the standard library for a file that ends before what is read of it.
+        let detail = detail.to_string().replace("failed to fill whole buffer", "it ends too early");
+        Self::Format { path: path.into(), kind, detail }
+    }
+
+    /// The message without the path of the file in front, for a reader who knows it.
+    pub(super) fn without_path(&self) -> String {
+        let (text, path) = (self.to_string(), self.path().display().to_string());
+        text.strip_prefix(&format!("{path}: ")).map_or_else(|| text.clone(), str::to_string)
+    }
+
+    /// The file that the error is of.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::Io { path, .. }
+            | Self::Manifest { path, .. }
+            | Self::Version { path, .. }
+            | Self::Value { path, .. }
+            | Self::Missing { path, .. }
+            | Self::Shape { path, .. }
+            | Self::SampleType { path, .. }
+            | Self::Size { path, .. }
+            | Self::Format { path, .. }
+            | Self::Program { path, .. }
+            | Self::Taken { path } => path,
+        }
+    }
+
+    /// The same error of a file that will lie in folder `to` in place of `from`.
+    pub(super) fn moved(mut self, from: &Path, to: &Path) -> Self {
+        let (Self::Io { path, .. }
+        | Self::Manifest { path, .. }
+        | Self::Version { path, .. }
+        | Self::Value { path, .. }
+        | Self::Missing { path, .. }
+        | Self::Shape { path, .. }
+        | Self::SampleType { path, .. }
+        | Self::Size { path, .. }
+        | Self::Format { path, .. }
+        | Self::Program { path, .. }
+        | Self::Taken { path }) = &mut self;
+        if let Ok(inner) = path.strip_prefix(from) {
+            *path = to.join(inner);
+        }
+        self
+    }
+}
+
+/// What to do about a file that is damaged: a table is written again, a recording cannot be made a second time.
+fn again(kind: &str) -> &'static str {
+    match kind {
+        ".csv" | "session.toml" | "import.json" | "video" => "write it again",
+        _ => "if it is whole where it was recorded or written, copy it again from there",
     }
 }

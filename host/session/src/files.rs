@@ -3,15 +3,17 @@
 //! 1. An output is never an input, by whatever name.
 //! 2. An output never replaces a file of another kind, nor a folder that this verb did not fill.
 //! 3. An output that exists is kept, unless `--force` is given or the verb continues what is there.
-//! 4. One run at a time writes a file or folder: it holds a lock while it runs.
+//! 4. No output lies in the folder of a recording that is read: its reader would take it for a part of the recording.
+//! 5. One run at a time writes a file or folder: it holds a lock while it runs.
 //!
 //! Every verb lists its files ([`Files`]); [`Files::hold`] checks the rule before the verb begins its work.
 
 pub use super::lock::Lock;
 
-use super::MANIFEST;
 use super::artifact::folder_of;
 use super::kind::FileKind;
+use super::stack::folder_of_recording;
+use super::{MANIFEST, Manifest};
 use anyhow::{Context, bail};
 use same_file::is_same_file;
 use std::path::{Path, PathBuf};
@@ -158,6 +160,11 @@ impl Files {
         Self { after_stop: Some(how), ..self }
     }
 
+    /// The files that lock the outputs while a run writes them.
+    pub fn locks(&self) -> Vec<PathBuf> {
+        self.writes.iter().map(|output| Lock::path_of(&output.path, self.share.as_deref())).collect()
+    }
+
     /// The outputs, and how to go on after a run was stopped.
     pub fn advice(&self) -> (Vec<PathBuf>, &'static str) {
         let outputs = self.writes.iter().map(|output| output.path.clone()).collect();
@@ -205,6 +212,13 @@ impl Files {
         }
         if !folder.is_dir() {
             bail!("{named}: the folder {} does not exist; create it, or choose another", folder.display());
+        }
+        if let Some(recording) = self.reads.iter().flat_map(|read| recordings(read)).find(|r| lies_in(path, r)) {
+            let recording = recording.display();
+            bail!(
+                "{named}: lies in the recording {recording}, which the command reads: the next reader would take it for \
+                 a part of the recording; choose another folder"
+            );
         }
         if !path.exists() {
             return Ok(());
@@ -254,10 +268,21 @@ fn same(a: &Path, b: &Path) -> bool {
     })
 }
 
-/// Whether a file lies in a folder, or a folder below it.
+/// Whether a file lies in a folder, or a folder below it, or would if it existed.
 fn lies_in(path: &Path, folder: &Path) -> bool {
-    match (path.canonicalize(), folder.canonicalize()) {
-        (Ok(path), Ok(folder)) => folder.is_dir() && path != folder && path.starts_with(&folder),
+    match (folder_of(path).canonicalize(), folder.canonicalize()) {
+        (Ok(path), Ok(folder)) => folder.is_dir() && path.starts_with(&folder),
         _ => false,
     }
+}
+
+/// The folders of recordings that a command reads with an input: its own, or those that the manifest of a session names.
+fn recordings(input: &Path) -> Vec<PathBuf> {
+    let manifest = input.join(MANIFEST);
+    let Some(text) = std::fs::read_to_string(&manifest).ok() else {
+        return folder_of_recording(input).into_iter().collect();
+    };
+    // What is wrong with a manifest is said where the session is opened.
+    let stacks = Manifest::parse(&manifest, &text).map(|m| m.stacks).unwrap_or_default();
+    stacks.iter().filter_map(|stack| folder_of_recording(&input.join(&stack.file))).collect()
 }

@@ -66,7 +66,7 @@ pub use error::SessionError;
 pub use manifest::{ArrayGeometry, MANIFEST, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
 pub use open::{ComputedStack, Session, Stack, TruthReader};
 pub use remedy::{causes, remedy};
-pub use space::need_space;
+pub use space::{need_file_size, need_space};
 pub use stack::{ComputedFrames, FrameReader, FrameWriter, Part, Recording, SampleType, StackScale, StackSpec};
 pub use table::FrameInfo;
 pub use write::{Existing, SessionWriter};

@@ -17,15 +17,20 @@ pub struct Lock {
 }
 
 impl Lock {
+    /// The file by which an output is locked.
+    pub(crate) fn path_of(output: &Path, share: Option<&str>) -> PathBuf {
+        let name = output.file_name().map_or("folder".into(), |name| name.to_string_lossy().into_owned());
+        let share = share.map_or(String::new(), |share| format!(".{share}"));
+        folder_of(output).join(format!(".{name}{share}.lock"))
+    }
+
     /// Locks an output, and removes what a killed run has left of it. Runs with different shares do not exclude each
     /// other.
     ///
     /// # Errors
     /// Another run holds the lock, or the folder is not writable.
     pub fn of(output: &Path, share: Option<&str>) -> anyhow::Result<Self> {
-        let name = output.file_name().map_or("folder".into(), |name| name.to_string_lossy().into_owned());
-        let share = share.map_or(String::new(), |share| format!(".{share}"));
-        let path = folder_of(output).join(format!(".{name}{share}.lock"));
+        let path = Self::path_of(output, share);
         let named = || output.display().to_string();
         loop {
             let opened = OpenOptions::new().create(true).truncate(false).write(true).open(&path);

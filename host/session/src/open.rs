@@ -1,6 +1,7 @@
 //! Opens a session and checks all of it before anything is computed.
 
 use super::error::SessionError;
+use super::import::{self, Losses};
 use super::manifest::{MANIFEST, Manifest, Role, StackEntry};
 use super::stack::{ComputedFrames, FrameReader, SampleType};
 use super::table::{self, FrameInfo, Wanted};
@@ -128,7 +129,13 @@ impl Session {
 
 impl Stack {
     fn open(dir: &Path, manifest_path: &Path, manifest: &Manifest, entry: &StackEntry) -> Result<Self, SessionError> {
-        let frames = FrameReader::open_variable(&dir.join(&entry.file), entry.variable.as_deref())?;
+        let path = dir.join(&entry.file);
+        if matches!(path.try_exists(), Ok(false)) {
+            let remedy = "check its name, and move it back, or correct `file` in the manifest";
+            let (field, expected) = (format!("file of a {} stack", entry.role.name()), format!("`{}`", entry.file));
+            return Err(SessionError::value(manifest_path, field, expected, "nothing of that name", remedy));
+        }
+        let frames = FrameReader::open_variable(&path, entry.variable.as_deref())?;
         let sensor = [frames.len(), manifest.sensor.rows, manifest.sensor.cols];
         expect_shape(&frames, sensor, "correct [sensor] in the manifest, or the frames")?;
         let positions = entry.role == Role::Bead;
@@ -214,6 +221,18 @@ impl Stack {
         })
     }
 
+    /// What is lost of its recording, by the report of `import` in the folder of the session, else by the recording
+    /// itself; nothing where neither says it. Damaged frames are not listed: those are marked in the table
+    /// ([`FrameInfo::is_damaged`]).
+    pub fn losses(&self) -> Losses {
+        if self.computed.is_some() {
+            return Losses::default();
+        }
+        let live = || self.frames().ok().and_then(|frames| import::losses_of(&frames).ok());
+        let found = import::reported(&self.dir, &self.entry.file, self.len()).or_else(live);
+        Losses { damaged_frames: Vec::new(), ..found.unwrap_or_default() }
+    }
+
     /// A reader of the frames, [sensor rows, sensor cols], DN.
     ///
     /// # Errors
@@ -294,7 +313,7 @@ fn companion(path: &Path, shape: [usize; 3]) -> Result<(), SessionError> {
 }
 
 /// Rejects bead positions outside the object grid; the outer edges of its pixels still count as inside.
-fn beads_inside(path: &Path, manifest: &Manifest, info: &[FrameInfo]) -> Result<(), SessionError> {
+pub(crate) fn beads_inside(path: &Path, manifest: &Manifest, info: &[FrameInfo]) -> Result<(), SessionError> {
     let object = &manifest.object;
     for bead in info {
         let [r, c] = object.pixel_of_um(bead.y_um, bead.x_um);

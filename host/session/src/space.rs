@@ -32,11 +32,49 @@ pub fn need_space(folder: &Path, shown: &Path, bytes: u64) -> Result<(), Session
     }
 }
 
+/// Refuses to begin a file that is larger than the system allows this process to write (`ulimit -f`): the system ends a
+/// process that goes beyond it, without a word. Where no such limit is known, there is none.
+///
+/// # Errors
+/// A file of `bytes` bytes is too large; messages name it `shown`.
+pub fn need_file_size(shown: &Path, bytes: u64) -> Result<(), SessionError> {
+    let limit = std::fs::read_to_string("/proc/self/limits").ok().as_deref().and_then(file_size_limit);
+    match limit {
+        Some(limit) if bytes > limit => Err(SessionError::value(
+            shown,
+            "size of the file",
+            format!("at most {}, the limit of the system for a file", size(limit)),
+            format!("about {}", size(bytes)),
+            "raise the limit (`ulimit -f unlimited`), or write fewer frames",
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// The largest file, bytes, by the list of limits that Linux gives a process; `None` where it is unlimited.
+fn file_size_limit(limits: &str) -> Option<u64> {
+    limits.lines().find_map(|line| line.strip_prefix("Max file size"))?.split_whitespace().next()?.parse().ok()
+}
+
 /// A number of bytes for people: `34.3 GB`.
 fn size(bytes: u64) -> String {
     match bytes {
         0..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
         1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
         _ => format!("{:.1} GB", bytes as f64 / 1e9),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_limit_of_a_file_is_read() {
+        let list = "Limit                     Soft Limit           Hard Limit           Units     \n\
+                    Max cpu time              unlimited            unlimited            seconds   \n\
+                    Max file size             1024000              unlimited            bytes     \n";
+        assert_eq!(file_size_limit(list), Some(1_024_000));
+        assert_eq!(file_size_limit(&list.replace("1024000", "unlimited")), None);
     }
 }

@@ -234,7 +234,7 @@ fn numbers_that_are_none_are_refused_where_they_are_read() {
 fn each_damage_to_a_session_has_its_error() {
     let toml = |from: &'static str, to: &'static str| damaged(move |s| edit(&s.join("session.toml"), from, to));
     let csv = |from: &'static str, to: &'static str| damaged(move |s| edit(&s.join("bead.csv"), from, to));
-    mentions(&damaged(|s| std::fs::remove_file(s.join("bead.npy")).unwrap()), &["bead.npy", "No such file"]);
+    mentions(&damaged(|s| std::fs::remove_file(s.join("bead.npy")).unwrap()), &["bead.npy", "nothing of that name"]);
     mentions(&damaged(|s| std::fs::remove_file(s.join("session.toml")).unwrap()), &["session.toml"]);
     mentions(&toml("format = 1", "format = 2"), &["format: expected 1, found 2"]);
     mentions(&toml("rows = 4", "rows = 7"), &["bead.npy", "[2, 7, 5]", "[2, 4, 5]"]);

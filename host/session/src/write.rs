@@ -96,14 +96,29 @@ impl SessionWriter {
         self.manifest.stacks.push(entry);
     }
 
+    /// As [`SessionWriter::finish`], of a session that can be opened: a session that is refused later would block its
+    /// place.
+    ///
+    /// # Errors
+    /// As [`SessionWriter::finish`] and [`crate::Session::open`].
+    pub fn finish_checked(self) -> Result<(), SessionError> {
+        self.write_manifest()?;
+        crate::Session::open(self.folder.path()).map_err(|e| e.moved(self.folder.path(), &self.target))?;
+        self.finish()
+    }
+
+    fn write_manifest(&self) -> Result<(), SessionError> {
+        let path = self.target.join(MANIFEST);
+        let text = toml::to_string(&self.manifest).map_err(|e| SessionError::format(&path, "session.toml", e))?;
+        self.extra(MANIFEST, text.as_bytes())
+    }
+
     /// Completes the session: the folder appears at its target.
     ///
     /// # Errors
     /// The disk is full, or another program created the target meanwhile. Nothing is left behind.
     pub fn finish(self) -> Result<(), SessionError> {
-        let path = self.target.join(MANIFEST);
-        let text = toml::to_string(&self.manifest).map_err(|e| SessionError::format(&path, "session.toml", e))?;
-        self.extra(MANIFEST, text.as_bytes())?;
+        self.write_manifest()?;
         may_write(&self.target, self.existing)?;
         artifact::replace_folder(self.folder, &self.target).map_err(|e| SessionError::io(&self.target, e))
     }

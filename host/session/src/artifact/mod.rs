@@ -38,7 +38,7 @@ mod read;
 mod write;
 
 pub use error::ArtifactError;
-pub use hash::file_hash;
+pub use hash::{file_hash, state_of_files};
 pub use header::{Header, Provenance, Tensors};
 pub use place::{folder_of, remove_leftovers, replace_folder, temporary_beside, temporary_folder_beside};
 pub(crate) use read::find_header;

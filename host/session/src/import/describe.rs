@@ -8,16 +8,19 @@ use crate::table::{self, FrameInfo, Wanted};
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Positions of the frames: from the table that is asked for, names of files, or the only table in their folder. `None`
-/// where there are none. Positions in pixels are marked (`other` holds `unit`).
+/// Positions of the frames, and where they are from: the table that is asked for, names of files, or the only table of
+/// positions in their folder. `None` where there are none. Positions in pixels are marked (`other` holds `unit`).
 pub(super) fn positions(
     frames: &FrameReader,
     request: &ImportRequest<'_>,
     role: Option<Role>,
     notes: &mut Vec<String>,
-) -> Result<Option<Vec<FrameInfo>>, SessionError> {
+) -> Result<Option<(Vec<FrameInfo>, PathBuf)>, SessionError> {
+    let of = |path: &Path, notes: &mut Vec<String>| {
+        of_table(path, frames, request, notes).map(|infos| Some((infos, path.to_path_buf())))
+    };
     if let Some(path) = request.positions {
-        return of_table(path, frames, request, notes).map(Some);
+        return of(path, notes);
     }
     // Names of files are positions only where each file is one frame.
     let files: Vec<&Path> = frames.parts().iter().map(|p| p.path.as_path()).collect();
@@ -25,22 +28,27 @@ pub(super) fn positions(
         && let Some(found) = positions::in_names(&files, request.unit)?
     {
         notes.push("positions are those in the names of the files".into());
-        return Ok(Some(found.iter().enumerate().map(of_name).collect()));
+        return Ok(Some((found.iter().enumerate().map(of_name).collect(), frames.path().into())));
     }
-    let alone = only_table(frames.path()).filter(|_| super::times::table_of(frames.path()).is_none());
-    match alone {
-        Some(path) => {
+    match &tables_of_positions(frames.path())[..] {
+        [path] => {
             notes.push(format!("positions are those in {}", path.display()));
-            of_table(&path, frames, request, notes).map(Some)
+            of(path, notes)
         }
-        None if role == Some(Role::Bead) => Err(SessionError::value(
+        [first, second, ..] => {
+            let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+            let found = format!("several: {} and {}", name(first), name(second));
+            let remedy = "choose one: --positions FILE; or write scene= in front of frames that show no beads";
+            Err(SessionError::value(frames.path(), "tables of positions", "at most one", found, remedy))
+        }
+        [] if role == Some(Role::Bead) => Err(SessionError::value(
             frames.path(),
             "positions",
             "a stage position for each bead frame",
             "none in names of files, and no table beside them",
             "give a table: --positions FILE",
         )),
-        None => Ok(None),
+        [] => Ok(None),
     }
 }
 
@@ -55,14 +63,24 @@ fn of_name((frame, ([x_um, y_um, z_um], unit)): (usize, &([f64; 3], LengthUnit))
 /// The table in which Miniscope V4 writes how the head of the animal is turned: it holds no positions.
 const HEAD: &str = "headOrientation.csv";
 
-/// The only .csv in the folder of a folder recording.
-fn only_table(folder: &Path) -> Option<PathBuf> {
-    let entries = std::fs::read_dir(folder).ok()?;
-    let is_csv = |p: &PathBuf| {
-        p.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) && p.file_name() != Some(HEAD.as_ref())
+/// The tables in the folder of a folder recording that may hold positions: all but those of a recorder, and those that
+/// can be read and have other columns.
+fn tables_of_positions(folder: &Path) -> Vec<PathBuf> {
+    if super::times::table_of(folder).is_some() {
+        return Vec::new();
+    }
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
+    let is_table = |p: &PathBuf| {
+        let hidden = p.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        !hidden && p.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) && p.file_name() != Some(HEAD.as_ref())
     };
-    let mut tables = entries.flatten().map(|e| e.path()).filter(is_csv);
-    tables.next().filter(|_| tables.next().is_none())
+    let mut tables: Vec<PathBuf> = entries.filter(is_table).collect();
+    tables.sort();
+    // One that is alone is meant, whatever its columns are called: what it lacks is then said.
+    if tables.len() > 1 {
+        tables.retain(|path| table::Grid::read(path).map_or(true, |grid| table::has_positions(&grid.names)));
+    }
+    tables
 }
 
 fn of_table(

@@ -33,6 +33,11 @@ impl Metadata {
     }
 }
 
+/// Whether a folder has metadata.
+pub(super) fn is_there(folder: &Path) -> bool {
+    folder.join(NAME).is_file()
+}
+
 /// Reads the metadata of a folder; `None` where it has none.
 ///
 /// # Errors

@@ -5,13 +5,17 @@
 
 mod describe;
 mod found;
+mod losses;
 mod miniscope;
+mod notes;
 mod positions;
 mod survey;
 mod times;
 
-pub use found::{DamagedFrame, Found, Torn};
+pub use found::Found;
+pub use losses::{DamagedFrame, Losses, Torn, losses_of};
 pub use miniscope::Metadata;
+pub use notes::notes_on;
 pub use times::{Gap, Times};
 
 use crate::error::SessionError;
@@ -106,8 +110,12 @@ struct Opened {
     metadata: Option<Metadata>,
     times: Option<Times>,
     infos: Option<Vec<FrameInfo>>,
+    /// Where the positions are from: a table, or the recording by the names of its files.
+    positions: PathBuf,
     role: Role,
     notes: Vec<String>,
+    /// What could not be read of what lies beside the frames.
+    warnings: Vec<String>,
 }
 
 /// Imports recordings as a session. `progress` is called after each frame.
@@ -117,6 +125,11 @@ struct Opened {
 /// (unit of positions, exposure), or the session cannot be written. Nothing is left behind then.
 pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result<Vec<Found>, SessionError> {
     let mut opened = Vec::new();
+    if let Some(name) = request.variable.filter(|_| !request.sources.iter().any(|s| is_mat(&s.path))) {
+        let path = request.sources.first().map_or(request.output, |s| &s.path);
+        let remedy = "leave the name out: only .mat files hold several arrays";
+        return Err(SessionError::value(path, "variable", "none", name, remedy));
+    }
     for source in request.sources {
         opened.push(open(source, request)?);
     }
@@ -135,6 +148,9 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
         let mut infos = recording.infos.take();
         if let Some(infos) = infos.as_mut().filter(|infos| infos.iter().any(|info| info.other.contains_key("unit"))) {
             pixels_to_um(recording.frames.path(), &manifest.object, infos, &mut recording.notes)?;
+        }
+        if let Some(infos) = infos.as_ref().filter(|_| recording.role == Role::Bead) {
+            on_the_grid(&recording, &manifest, infos)?;
         }
         let copy = request.copy.then(|| Copy::start(&writer, &format!("{name}.npy"), &recording.frames)).transpose()?;
         let survey = Survey::of(&mut recording.frames, copy, &mut progress)?;
@@ -173,7 +189,7 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
     writer.set_bit_depth(bit_depth(request, largest)?);
     let report = serde_json::to_string_pretty(&found).map_err(|e| SessionError::format(request.output, REPORT, e))?;
     writer.extra(REPORT, format!("{report}\n").as_bytes())?;
-    writer.finish()?;
+    writer.finish_checked()?;
     Ok(found)
 }
 
@@ -191,26 +207,33 @@ pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
     Ok(Some(Times::of_table(&stamps, frames.parts(), frames.len(), per_file)))
 }
 
-/// What is to be known of the files of a stack: videos beside them that are left out, codes of limited range.
-pub fn notes_on(frames: &FrameReader) -> Vec<String> {
-    let mut notes = Vec::new();
-    let others = frames.left_out();
-    if !others.is_empty() {
-        let named = others.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
-        let more = if others.len() > 3 { format!(" and {} more", others.len() - 3) } else { String::new() };
-        notes.push(format!("{}: {named}{more} are videos of another camera and left out", frames.path().display()));
+/// As [`times_of`]; of a table that cannot be read, such as an empty one, what is wrong with it: its recording is read
+/// like one without a table.
+///
+/// # Errors
+/// A file cannot be opened.
+pub fn times_or_why(frames: &FrameReader) -> Result<(Option<Times>, Option<String>), SessionError> {
+    match times_of(frames) {
+        Ok(times) => Ok((times, None)),
+        Err(e @ SessionError::Io { .. }) => Err(e),
+        Err(e) => Ok((None, Some(format!("{e}; its times are left out")))),
     }
-    let limited: Vec<_> = frames.parts().iter().filter(|part| part.limited).collect();
-    if let Some(first) = limited.first() {
-        let files = if limited.len() == 1 { String::new() } else { format!(" and {} more files", limited.len() - 1) };
-        notes.push(format!(
-            "{}{files}: values run from 16 to 235 where the camera had 0 to 255, since the video is coded for the \
-             eye; they are used as they are: (value - 16) x 255 / 219 gives those of the camera. Record without loss \
-             (GREY, FFV1) if you can",
-            first.path.display()
-        ));
+}
+
+/// What the report of an import says of the recording of a stack in the session at `session`; `None` without a report,
+/// or where it is of other frames.
+pub(crate) fn reported(session: &Path, file: &str, frames: usize) -> Option<Losses> {
+    /// What is read of an entry of the report.
+    #[derive(serde::Deserialize)]
+    struct Entry {
+        file: String,
+        frames: usize,
+        #[serde(flatten)]
+        losses: Losses,
     }
-    notes
+    let text = std::fs::read(session.join(REPORT)).ok()?;
+    let entries: Vec<Entry> = serde_json::from_slice(&text).ok()?;
+    entries.into_iter().find(|entry| entry.file == file && entry.frames == frames).map(|entry| entry.losses)
 }
 
 /// The time from one frame to the next without timestamps, s: that of the metadata of a recording, else that of its
@@ -229,6 +252,11 @@ fn metadata_of(path: &Path) -> Result<Option<Metadata>, SessionError> {
     if avi || path.is_dir() { miniscope::metadata(&folder_of(path)) } else { Ok(None) }
 }
 
+/// Whether the folder has a table of timestamps or the metadata of a recorder.
+pub(crate) fn is_of_recorder(folder: &Path) -> bool {
+    times::table_of(folder).is_some() || miniscope::is_there(folder)
+}
+
 fn folder_of(path: &Path) -> PathBuf {
     if path.is_dir() { path.into() } else { crate::artifact::folder_of(path).into() }
 }
@@ -236,13 +264,14 @@ fn folder_of(path: &Path) -> PathBuf {
 fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionError> {
     let frames = source.frames(request.variable)?;
     let mut notes = Vec::new();
-    let times = times_of(&frames)?;
+    let (times, warning) = times_or_why(&frames)?;
     notes.extend(times.iter().flat_map(Times::table_notes));
     let metadata = metadata_of(&source.path)?;
     if let Some((path, why)) = metadata.as_ref().and_then(|m| Some((m.path.display(), m.unread.as_ref()?))) {
         notes.push(format!("{path}: is no JSON, nothing is taken from it: {why}"));
     }
     notes.extend(notes_on(&frames));
+    notes.extend(notes::on_colours(&frames));
     if let Some((metadata, roi)) = metadata.as_ref().and_then(|m| Some((m, m.roi?)))
         && roi != [frames.rows(), frames.cols()]
     {
@@ -250,9 +279,10 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
         notes.push(format!("{path}: states frames of {} x {}, the files have {} x {}", roi[0], roi[1], of[0], of[1]));
     }
     let wanted = source.role.is_none_or(|role| role == Role::Bead);
-    let infos = if wanted { describe::positions(&frames, request, source.role, &mut notes)? } else { None };
-    let role = source.role.unwrap_or(if infos.is_some() { Role::Bead } else { Role::Scene });
-    Ok(Opened { frames, metadata, times, infos, role, notes })
+    let found = if wanted { describe::positions(&frames, request, source.role, &mut notes)? } else { None };
+    let role = source.role.unwrap_or(if found.is_some() { Role::Bead } else { Role::Scene });
+    let (infos, positions) = found.map_or((None, PathBuf::new()), |(infos, of)| (Some(infos), of));
+    Ok(Opened { frames, metadata, times, infos, positions, role, notes, warnings: warning.into_iter().collect() })
 }
 
 /// The name of a stack's files in the session, without suffix: its role, and a number from the second stack on.
@@ -310,6 +340,27 @@ fn pixels_to_um(
         info.other.remove("unit");
     }
     crate::table::pixels_to_um(path, object, infos, notes)
+}
+
+/// Rejects positions of beads outside the object grid, as the session would be: in the user's file, with what of the
+/// import can be wrong.
+fn on_the_grid(recording: &Opened, manifest: &Manifest, infos: &[FrameInfo]) -> Result<(), SessionError> {
+    let in_names = recording.positions == recording.frames.path();
+    let parts = recording.frames.parts();
+    for (i, info) in infos.iter().enumerate() {
+        let named = parts.get(i).filter(|_| in_names).map(|part| &part.path);
+        let of_bead = std::slice::from_ref(info);
+        crate::open::beads_inside(named.unwrap_or(&recording.positions), manifest, of_bead).map_err(|e| match e {
+            SessionError::Value { path, field, expected, found, .. } => {
+                let field = if in_names { field.replace("column", "position") } else { field };
+                let remedy = "check the unit of the positions (--unit for those in names), and that the object has the \
+                              size of the instrument (--like); leave out beads outside the field";
+                SessionError::Value { path, field, expected, found, remedy }
+            }
+            other => other,
+        })?;
+    }
+    Ok(())
 }
 
 fn exposure_ms(request: &ImportRequest<'_>, recording: &mut Opened) -> Result<f64, SessionError> {

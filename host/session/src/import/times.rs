@@ -2,8 +2,8 @@
 
 use crate::error::SessionError;
 use crate::stack::Part;
-use crate::table::{Grid, Row};
-use serde::Serialize;
+use crate::table::{Grid, Row, time_column};
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// The times of the frames of a recording.
@@ -17,6 +17,10 @@ pub struct Times {
     pub timestamps: usize,
     /// Number of rows of the table that belong to no whole frame.
     pub unused: usize,
+    /// Number of them before that of the first frame.
+    pub before: usize,
+    /// Number of them after that of the last frame.
+    pub after: usize,
     /// Mean time from one frame to the next, without gaps, s.
     pub interval_s: Option<f64>,
     /// Where frames are missing.
@@ -27,6 +31,8 @@ pub struct Times {
     pub unfinished: Option<String>,
     /// Which of several cameras in the table was taken, and why, as a sentence.
     pub camera: Option<String>,
+    /// The unit that was taken where the table states none, as a sentence.
+    pub assumed: Option<String>,
     /// How rows of the table were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
     /// Number of the first file that the recorder wrote, there or not.
@@ -50,6 +56,8 @@ pub(super) struct Stamps {
     pub unfinished: Option<String>,
     /// Which of several cameras these are the times of, and why, as a sentence.
     pub camera: Option<String>,
+    /// The unit that was taken where the table states none, as a sentence.
+    pub assumed: Option<String>,
 }
 
 impl Stamps {
@@ -66,7 +74,7 @@ impl Stamps {
 }
 
 /// A time between two frames that is longer than others.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Gap {
     /// The last frame before it, counted from 0.
     pub after_frame: usize,
@@ -100,13 +108,14 @@ pub(super) fn timestamps(path: &Path, frames: usize) -> Result<Stamps, SessionEr
         let plain = |n: &str| n.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect::<String>();
         grid.names.iter().position(|n| names.contains(&plain(n).as_str()))
     };
-    let in_s = place(&["times", "timestamps"]).map(|i| (i, 1.0));
-    let in_ms = place(&["timestampms", "timems", "sysclock"]).map(|i| (i, 1e-3));
-    let Some((column, factor)) = in_ms.or(in_s) else {
+    let in_ms = place(&["sysclock", "timestampms", "timems"]).map(|i| (i, Some(1e-3)));
+    let Some((column, stated)) = in_ms.or_else(|| time_column(&grid.names)) else {
+        let found =
+            if grid.names.is_empty() { "an empty table".into() } else { format!("columns {}", grid.names.join(", ")) };
         return Err(SessionError::Missing {
             path: path.into(),
             field: "column `Time Stamp (ms)`".into(),
-            found: format!("columns {}", grid.names.join(", ")),
+            found,
             remedy: "name the column `Time Stamp (ms)` or `time_s`",
         });
     };
@@ -122,13 +131,19 @@ pub(super) fn timestamps(path: &Path, frames: usize) -> Result<Stamps, SessionEr
     });
     let time = |row: &Row| {
         let number = grid.number(&row.cells[column]).filter(|v| v.is_finite());
-        number.map(|v| v * factor).ok_or_else(|| {
+        number.ok_or_else(|| {
             let field = format!("line {}, column `{}`", row.line, grid.names[column]);
             let found = format!("`{}` in `{}`", row.cells[column], row.text(grid.separator));
             SessionError::value(path, field, "a finite number", found, "correct the table, or remove the line")
         })
     };
     let mut time_s = rows.into_iter().map(time).collect::<Result<Vec<_>, _>>()?;
+    let factor = stated.unwrap_or_else(|| likely_unit_s(&time_s));
+    time_s.iter_mut().for_each(|time| *time *= factor);
+    let unit = if factor < 1.0 { "milliseconds" } else { "seconds" };
+    let assumed = stated.is_none().then(|| {
+        format!("column `{}` of the table of timestamps states no unit: {unit} are taken", grid.names[column])
+    });
     // The clock of version 3 starts with the first frame, whose own time is often that of an earlier recording.
     if let (Some(_), [first, second, third, ..]) = (by_camera, &mut time_s[..]) {
         let step = *third - *second;
@@ -136,7 +151,15 @@ pub(super) fn timestamps(path: &Path, frames: usize) -> Result<Stamps, SessionEr
             *first = f64::NAN;
         }
     }
-    Ok(Stamps { time_s, numbers, unfinished, camera: chosen.and_then(|(_, why)| why) })
+    Ok(Stamps { time_s, numbers, unfinished, camera: chosen.and_then(|(_, why)| why), assumed })
+}
+
+/// The unit of times that state none, s: frames follow each other within a second or so, which is hundreds of
+/// milliseconds.
+fn likely_unit_s(times: &[f64]) -> f64 {
+    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
+    steps.sort_by(f64::total_cmp);
+    if steps.get(steps.len() / 2).is_some_and(|median| *median < 2.0) { 1.0 } else { 1e-3 }
 }
 
 /// The camera of a table whose number of rows is nearest to that of the frames, and why where the table lists several.
@@ -175,6 +198,7 @@ impl Times {
         times.timestamps = table.time_s.len();
         times.unfinished = table.unfinished.clone();
         times.camera = table.camera.clone();
+        times.assumed = table.assumed.clone();
         times
     }
 
@@ -222,7 +246,9 @@ impl Times {
         let mut times =
             Self { timestamps: stamps.len(), assigned, first_file, last_file, last_should_have, ..Self::default() };
         times.time_s = rows.iter().map_while(|row| stamps.get(*row).copied()).collect();
-        times.unused = stamps.len() - times.time_s.len();
+        times.unused = stamps.len().saturating_sub(times.time_s.len());
+        times.before = rows.first().map_or(0, |first| (*first).min(stamps.len()));
+        times.after = rows.last().map_or(0, |last| stamps.len().saturating_sub(last + 1));
         times.interpolate();
         times.judge();
         times.extrapolate(frames);
@@ -286,10 +312,11 @@ impl Times {
         self.time_s.extend((0..self.estimated).map(next));
     }
 
-    /// What is to be known of the table of timestamps: what it lacks at its end, and which of several cameras was taken.
+    /// What is to be known of the table of timestamps: what it lacks at its end, which of several cameras was taken, and
+    /// which unit where it states none.
     pub fn table_notes(&self) -> impl Iterator<Item = String> + '_ {
         let unfinished = self.unfinished.as_ref().map(|what| format!("the table of timestamps {what}"));
-        unfinished.into_iter().chain(self.camera.clone())
+        unfinished.into_iter().chain(self.camera.clone()).chain(self.assumed.clone())
     }
 
     /// Frames a second by the timestamps, without the gaps.

@@ -40,7 +40,7 @@ pub(crate) use avi::DECODED_FROM;
 pub use layout::{SampleType, StackScale, StackSpec};
 pub use reader::{ComputedFrames, FrameReader};
 pub use recording::Recording;
-pub use series::Part;
+pub use series::{Part, folder_of_recording};
 pub use whole::{read, write};
 pub use writer::FrameWriter;
 pub use zarr::is_zarr;

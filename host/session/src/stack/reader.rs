@@ -79,7 +79,7 @@ impl FrameReader {
         if path.extension().is_none() && !path.exists() {
             return Err(SessionError::io(path, std::io::ErrorKind::NotFound.into()));
         }
-        if let Some(name) = variable.filter(|_| Container::of(path).ok() != Some(Container::Mat)) {
+        if let Some(name) = variable.filter(|_| Container::by_suffix(path) != Some(Container::Mat)) {
             let remedy = "leave the name out: only .mat files hold several arrays";
             return Err(SessionError::value(path, "variable", "none", name, remedy));
         }
@@ -88,18 +88,16 @@ impl FrameReader {
         } else if path.is_dir() {
             SeriesSource::of_folder(path).map(series)?
         } else {
-            match Container::of(path)? {
+            match Container::to_read(path)? {
                 Container::Npy => npy::NpySource::open(path).map(|(shape, s)| (shape, Source::Npy(s)))?,
                 Container::Tif => tif::TifSource::open(path).map(|(shape, s)| (shape, Source::Tif(Box::new(s))))?,
                 Container::Avi => SeriesSource::of_file(path).map(series)?,
                 Container::Mat => {
                     mat::MatSource::open(path, variable).map(|(shape, s)| (shape, Source::Mat(Box::new(s))))?
                 }
+                // A folder of that name, which does not exist: what is no folder was refused.
                 Container::Mp4 | Container::Zarr => {
-                    let remedy = "convert the stack to .npy, .tif or .avi";
-                    let expected = ".npy, .tif, .tiff, .avi, .mat or a folder of Zarr";
-                    let found = "a file of a format that is only written";
-                    return Err(SessionError::value(path, "suffix", expected, found, remedy));
+                    return Err(SessionError::io(path, std::io::ErrorKind::NotFound.into()));
                 }
             }
         };

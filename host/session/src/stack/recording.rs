@@ -1,7 +1,7 @@
 //! A stack that grows while frames arrive: an OME-TIFF that can be read after each frame, even if the program is
 //! killed.
 
-use super::layout::{Container, SampleType, StackSpec};
+use super::layout::{Container, SampleType, StackSpec, shown_suffix};
 use super::ome;
 use super::writer::{CALLER_ERROR, push_page};
 use crate::error::SessionError;
@@ -44,9 +44,9 @@ impl Recording {
     /// # Errors
     /// The suffix is not .tif/.tiff, or the file cannot be created.
     pub fn create(path: &Path, [rows, cols]: [usize; 2]) -> Result<Self, SessionError> {
-        if Container::of(path)? != Container::Tif {
+        if Container::by_suffix(path) != Some(Container::Tif) {
             let remedy = "record as .tif, to which pages can be appended";
-            return Err(SessionError::value(path, "suffix", ".tif or .tiff", ".npy", remedy));
+            return Err(SessionError::value(path, "suffix", ".tif or .tiff", shown_suffix(path), remedy));
         }
         let io = |e| SessionError::io(path, e);
         let file = File::create(path).map_err(io)?;

@@ -28,12 +28,15 @@ pub struct Part {
     pub damaged: Vec<(usize, String)>,
     /// Whether codes are of limited range, as of videos for the eye: black is 16 and white 235 (of 8 bits).
     pub limited: bool,
+    /// What is taken of a video that is coded with colours: its luma, or its green.
+    pub taken_of_colours: Option<&'static str>,
 }
 
 impl Part {
     fn new(number: Option<u64>, path: PathBuf) -> Self {
         let (empty, torn, damaged) = Default::default();
-        Self { path, number, frames: 0, listed: 0, empty, torn, damage: None, damaged, limited: false }
+        let (damage, limited, taken_of_colours) = (None, false, None);
+        Self { path, number, frames: 0, listed: 0, empty, torn, damage, damaged, limited, taken_of_colours }
     }
 
     /// The number of each whole frame among the listed ones, counted from 0.
@@ -101,7 +104,7 @@ impl SeriesSource {
                 }
                 // A file that a recorder began and did not finish. Whether it matters is for the reader of `parts`.
                 Err(e @ (SessionError::Format { .. } | SessionError::Size { .. })) if !one => {
-                    part.damage = Some(e.to_string());
+                    part.damage = Some(e.without_path());
                     first_error = first_error.or(Some(e));
                     Content::Nothing
                 }
@@ -164,6 +167,7 @@ fn part_of(part: &mut Part) -> Result<(Shape, StackScale, Content), SessionError
     (part.frames, part.listed) = (movie.frames(), movie.slots);
     (part.empty, part.torn) = (std::mem::take(&mut movie.empty), std::mem::take(&mut movie.torn));
     (part.damage, part.limited) = (movie.damage.take(), movie.limited);
+    part.taken_of_colours = movie.taken_of_colours();
     let shape = Shape { len: part.frames, rows: movie.rows, cols: movie.cols, samples: movie.samples };
     let scale = StackScale { pixel_um: None, interval_s: movie.interval_s };
     Ok((shape, scale, Content::Movie(Box::new(movie))))
@@ -244,8 +248,7 @@ fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionE
     let of_version_3 = prefixes.iter().all(|p| is_miniscope(p) || p.to_lowercase().starts_with("behavcam"));
     if prefixes.len() > 1 && of_version_3 && numbered.len() == avis.len() {
         numbered.retain(|(prefix, ..)| is_miniscope(prefix));
-        numbered.sort_by_key(|(_, number, _)| *number);
-        return Ok(numbered.into_iter().map(|(_, number, path)| (Some(number), path)).collect());
+        return in_order(folder, numbered);
     }
     if prefixes.len() != 1 || numbered.len() != avis.len() {
         let named: Vec<String> = avis.iter().take(6).map(|p| name(p)).collect();
@@ -257,8 +260,36 @@ fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionE
             "put each recording into a folder of its own, or name one file",
         ));
     }
-    numbered.sort_by_key(|(_, number, _)| *number);
+    in_order(folder, numbered)
+}
+
+/// The files in the order of their numbers, each of which a recorder gives once.
+fn in_order(
+    folder: &Path,
+    mut numbered: Vec<(String, u64, PathBuf)>,
+) -> Result<Vec<(Option<u64>, PathBuf)>, SessionError> {
+    numbered.sort_by(|a, b| (a.1, &a.2).cmp(&(b.1, &b.2)));
+    if let Some(pair) = numbered.windows(2).find(|pair| pair[0].1 == pair[1].1) {
+        let found = format!("{} and {} with the same number, {}", name(&pair[0].2), name(&pair[1].2), pair[0].1);
+        let remedy = "leave one of them out of the folder: a copy, or a file of another recording";
+        return Err(SessionError::value(folder, "AVI files", "one file of each number", found, remedy));
+    }
     Ok(numbered.into_iter().map(|(_, number, path)| (Some(number), path)).collect())
+}
+
+/// The folder of a recording that a path names: a folder that holds files of frames, or an array of Zarr, and is no
+/// session; or the folder of a Miniscope that a single AVI is named of. `None`: it is no part of such a folder.
+pub fn folder_of_recording(path: &Path) -> Option<PathBuf> {
+    if !path.is_dir() {
+        let folder = crate::artifact::folder_of(path);
+        return (is_avi(path) && crate::import::is_of_recorder(folder)).then(|| folder.into());
+    }
+    if super::is_zarr(path) {
+        return Some(path.into());
+    }
+    let frames = |p: &PathBuf| (is_avi(p) || is_tif(p)) && !name(p).starts_with('.');
+    let holds = || std::fs::read_dir(path).is_ok_and(|entries| entries.flatten().map(|e| e.path()).any(|p| frames(&p)));
+    (!path.join(crate::MANIFEST).is_file() && holds()).then(|| path.into())
 }
 
 /// A folder without frames: names folders in it that have some.

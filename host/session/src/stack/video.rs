@@ -25,7 +25,7 @@ impl VideoWriter {
     /// Starts a video. ffmpeg is asked for at once, so that no work is lost without it.
     pub fn create(folder: &Path, shown: &Path) -> Result<Self, SessionError> {
         let found = ffmpeg::command(FFMPEG).arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
-        found.map_err(|e| ffmpeg::missing(shown, FFMPEG, &e))?;
+        found.map_err(|e| ffmpeg::missing_to_write(shown, FFMPEG, &e))?;
         let kept = tempfile::tempfile_in(folder).map_err(|e| SessionError::io(shown, e))?;
         Ok(Self { kept: BufWriter::new(kept), largest: 0.0 })
     }
@@ -48,7 +48,7 @@ impl VideoWriter {
         kept.seek(SeekFrom::Start(0)).map_err(io)?;
         let mut kept = BufReader::new(kept);
         let mut command = command(path, shown, spec, interval_s);
-        let mut child = command.spawn().map_err(|e| ffmpeg::missing(shown, FFMPEG, &e))?;
+        let mut child = command.spawn().map_err(|e| ffmpeg::missing_to_write(shown, FFMPEG, &e))?;
         let factor = if self.largest > 0.0 { 255.0 / self.largest } else { 0.0 };
         let mut frame = vec![0; 4 * spec.rows * spec.cols];
         let mut written = Ok(());
@@ -62,8 +62,9 @@ impl VideoWriter {
         }
         let out = child.wait_with_output().map_err(io)?;
         if !out.status.success() || written.is_err() {
-            let said = String::from_utf8_lossy(&out.stderr).trim().to_string();
-            return Err(SessionError::format(shown, "video", format!("ffmpeg could not write it: {said}")));
+            let expected = "a video that ffmpeg can write";
+            let remedy = "choose .npy, .tif or .zarr, which need no other program";
+            return Err(SessionError::value(shown, "video", expected, ffmpeg::reason(path, &out), remedy));
         }
         Ok(())
     }

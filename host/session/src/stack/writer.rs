@@ -7,7 +7,7 @@ use super::video::VideoWriter;
 use super::zarr::ZarrWriter;
 use crate::artifact;
 use crate::error::SessionError;
-use crate::space::need_space;
+use crate::space::{need_file_size, need_space};
 use ndarray::ArrayView2;
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -77,9 +77,12 @@ impl FrameWriter {
     /// As [`FrameWriter::create`], for a file at `path` that messages name `shown`: it lies in a temporary folder.
     pub(crate) fn create_as(path: &Path, shown: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         let io = |e| SessionError::io(shown, e);
-        let container = Container::of(path)?;
+        let container = Container::to_write(path, shown)?;
         let bytes = spec.bytes().saturating_add(1024 * spec.frames as u64);
         let coarser = if container == Container::Zarr { bytes / 3 } else { 0 };
+        if container != Container::Zarr {
+            need_file_size(shown, bytes)?;
+        }
         need_space(artifact::folder_of(path), shown, bytes.saturating_add(coarser))?;
         let tif = |e| SessionError::tif(shown, e);
         let new = |place, sink| Self {
@@ -91,11 +94,6 @@ impl FrameWriter {
             sink,
             pushed: 0,
         };
-        if container == Container::Mat {
-            let expected = ".npy, .tif, .tiff, .zarr, .avi or .mp4";
-            let remedy = "choose a format that is written";
-            return Err(SessionError::value(shown, "suffix", expected, ".mat, which is only read", remedy));
-        }
         if container == Container::Zarr {
             let folder = artifact::temporary_folder_beside(path).map_err(io)?;
             let sink = Sink::Zarr(Box::new(ZarrWriter::create(folder.path(), spec).map_err(io)?));

@@ -58,6 +58,18 @@ pub(crate) fn meanings(names: &[String]) -> Vec<(usize, Meaning, Unit)> {
     found
 }
 
+/// Whether columns x and y are among the names.
+pub(crate) fn has_positions(names: &[String]) -> bool {
+    let found = meanings(names);
+    [Meaning::X, Meaning::Y].iter().all(|wanted| found.iter().any(|(_, meaning, _)| meaning == wanted))
+}
+
+/// The column of times, and its unit, s; `None` for a unit that is not stated.
+pub(crate) fn time_column(names: &[String]) -> Option<(usize, Option<f64>)> {
+    let (at, _, unit) = meanings(names).into_iter().find(|(_, meaning, _)| *meaning == Meaning::Time)?;
+    Some((at, if let Unit::Times(s) = unit { Some(s) } else { None }))
+}
+
 const ALL: [Meaning; 8] = [
     Meaning::Frame,
     Meaning::X,
@@ -88,7 +100,7 @@ fn usual(name: &str) -> Option<(Meaning, Unit)> {
         "z" | "zpos" | "posz" | "depth" => Meaning::Z,
         "exposure" => Meaning::Exposure,
         "illumination" => Meaning::Illumination,
-        "time" | "t" | "timestamp" => Meaning::Time,
+        "time" | "times" | "t" | "timestamp" | "timestamps" => Meaning::Time,
         "temperature" | "temp" => Meaning::Temperature,
         _ => return None,
     };
@@ -154,6 +166,9 @@ mod tests {
             ("Exposure_s", (Meaning::Exposure, Unit::Times(1e3))),
             ("depth nm", (Meaning::Z, Unit::Times(1e-3))),
             ("Y", (Meaning::Y, Unit::Unstated)),
+            ("time_ms", (Meaning::Time, Unit::Times(1e-3))),
+            ("TIMESTAMP [s]", (Meaning::Time, Unit::Times(1.0))),
+            ("Timestamp", (Meaning::Time, Unit::Unstated)),
         ] {
             assert_eq!(usual(name), Some(expected), "{name}");
         }

@@ -8,6 +8,7 @@ pub(crate) use grid::Grid;
 use crate::error::SessionError;
 use crate::manifest::ObjectGrid;
 use columns::{Meaning, Unit, format_name, meanings};
+pub(crate) use columns::{has_positions, time_column};
 pub(crate) use grid::Row;
 use std::collections::BTreeMap;
 use std::path::Path;

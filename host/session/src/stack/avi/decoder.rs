@@ -56,15 +56,23 @@ struct Said {
     error: bool,
 }
 
+/// The part of a frame that holds its light without its colours.
+const LUMA: &str = "luma";
+
 /// How long a frame that was delivered waits for its name: an ffmpeg that names none must not stop the reading.
 const PATIENCE: Duration = Duration::from_secs(5);
 
 impl Coding {
-    /// Asks ffprobe for the coding of a file.
-    pub fn of(path: &Path) -> Result<Self, SessionError> {
+    /// Asks ffprobe for the coding of a file, whose header states the four letters `code`.
+    pub fn of(path: &Path, code: [u8; 4]) -> Result<Self, SessionError> {
         let mut probe = ffmpeg::command(FFPROBE);
         probe.args(["-v", "error", "-select_streams", "v:0"]);
-        probe.args(["-show_entries", "stream=pix_fmt,color_range,has_b_frames", "-of", "default=noprint_wrappers=1"]);
+        probe.args([
+            "-show_entries",
+            "stream=codec_name,pix_fmt,color_range,has_b_frames",
+            "-of",
+            "default=noprint_wrappers=1",
+        ]);
         let out = probe.arg(ffmpeg::file(path)).output().map_err(|e| ffmpeg::missing(path, FFPROBE, &e))?;
         let text = String::from_utf8_lossy(&out.stdout);
         let entry = |name: &str| {
@@ -73,14 +81,30 @@ impl Coding {
         };
         let format = entry("pix_fmt");
         if !out.status.success() || format.is_empty() || format == "unknown" {
-            let error = String::from_utf8_lossy(&out.stderr).trim().to_string();
-            return Err(SessionError::format(path, KIND, format!("ffprobe cannot read it: {error}")));
+            let letters: String =
+                code.iter().map(|b| if b.is_ascii_graphic() { char::from(*b) } else { '?' }).collect();
+            let codec = entry("codec_name");
+            let detail = match codec.as_str() {
+                "unknown" => format!("ffmpeg does not know its coding, `{letters}`; a newer one may"),
+                "" => format!("ffprobe cannot read it: {}", ffmpeg::reason(path, &out)),
+                _ => format!("ffmpeg cannot read the header of its coding, {codec}: {}", ffmpeg::reason(path, &out)),
+            };
+            return Err(SessionError::format(path, KIND, detail));
         }
         // Formats of luma and colour have a limited range where none is stated; those named `yuvj` have the full one.
         let limited = (format.starts_with("yuv") || format.starts_with("nv"))
             && !format.starts_with("yuvj")
             && !["pc", "jpeg", "full"].contains(&entry("color_range").as_str());
         Ok(Self { format, limited, reordered: entry("has_b_frames").parse().unwrap_or(0) > 0 })
+    }
+
+    /// What is taken of a format with colours: its luma, or its green. A conversion to grey would change the codes.
+    pub fn taken_of_colours(&self) -> Option<&'static str> {
+        match self.format.as_str() {
+            f if f.starts_with("gray") || f == "pal8" || f.starts_with("mono") => None,
+            f if f.starts_with("yuv") || f.starts_with("nv") => Some(LUMA),
+            _ => Some("green"),
+        }
     }
 
     /// Type of the samples.
@@ -94,11 +118,10 @@ impl Coding {
 impl Decoder {
     /// Starts at the first frame of a file.
     pub fn start(path: &Path, movie: &Movie, coding: &Coding) -> Result<Self, SessionError> {
-        // The luma of a colour format, or its green: a conversion to grey would change the codes.
-        let plane = match coding.format.as_str() {
-            f if f.starts_with("gray") || f == "pal8" || f.starts_with("mono") => "",
-            f if f.starts_with("yuv") || f.starts_with("nv") => "extractplanes=y,",
-            _ => "extractplanes=g,",
+        let plane = match coding.taken_of_colours() {
+            None => "",
+            Some(LUMA) => "extractplanes=y,",
+            Some(_) => "extractplanes=g,",
         };
         let mut command = ffmpeg::command(FFMPEG);
         command.args(["-hide_banner", "-nostats", "-v", "level+info", "-i"]);

@@ -43,8 +43,12 @@ impl Faults {
             let place = stated.filter(|_| !counted).unwrap_or(index);
             let skipped = expected.by_ref().take_while(|at| *at < place).count();
             let logs = frame["logs"].as_array().map_or(&[][..], Vec::as_slice);
-            let errors: Vec<String> =
-                logs.iter().filter_map(|log| log["message"].as_str()).map(plain).filter(|m| !m.is_empty()).collect();
+            let errors: Vec<String> = logs
+                .iter()
+                .filter_map(|log| log["message"].as_str())
+                .map(ffmpeg::plain)
+                .filter(|m| !m.is_empty())
+                .collect();
             // Frames that are no key frames are decoded from those before.
             let alone = frame["key_frame"].as_u64() == Some(1);
             if !errors.is_empty() {
@@ -61,17 +65,6 @@ impl Faults {
     pub fn at(&self, place: usize) -> Option<&str> {
         self.0.get(&place).map(String::as_str)
     }
-}
-
-/// A message without the address of the decoder: `[ffv1 @ 0x55] slice CRC mismatch` is `slice CRC mismatch`.
-fn plain(message: &str) -> String {
-    let text = match message.split_once("] ") {
-        Some((before, after)) if before.starts_with('[') => after,
-        _ => message,
-    };
-    // The time in the file, which is not that of the recording, is another message.
-    let text = if text.starts_with("at ") && text.trim_end().ends_with("seconds") { "" } else { text };
-    text.trim().chars().filter(|c| !c.is_control()).take(200).collect()
 }
 
 #[cfg(test)]

@@ -12,7 +12,7 @@ use crate::error::SessionError;
 use decoder::{Coding, Decoder};
 pub(crate) use faults::DECODED_FROM;
 use faults::Faults;
-use pixels::Pixels;
+use pixels::{Pixels, Wrong};
 use riff::Chunk;
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -60,7 +60,10 @@ impl Movie {
         let header = found.video.ok_or_else(|| format("it has no video stream"))?;
         let pixels = Pixels::of(&header).map_err(|detail| format(&detail))?;
         let (rows, cols) = (header.rows, header.cols);
-        let coding = matches!(pixels, Pixels::Compressed(_)).then(|| Coding::of(path)).transpose()?;
+        let coding = match pixels {
+            Pixels::Compressed(code) => Some(Coding::of(path, code)?),
+            _ => None,
+        };
         let samples = coding.as_ref().map_or_else(|| pixels.samples(), Coding::samples);
         let limited = coding.as_ref().is_some_and(|c| c.limited);
         let size = rows.checked_mul(cols).and_then(|n| n.checked_mul(4)).filter(|n| *n <= MOST_BYTES);
@@ -80,6 +83,11 @@ impl Movie {
         }
         let (interval_s, damage) = (header.interval_s, found.damage);
         Ok(Self { rows, cols, samples, interval_s, slots, empty, torn, damage, limited, pixels, coding, chunks })
+    }
+
+    /// What is taken of a video that is coded with colours.
+    pub fn taken_of_colours(&self) -> Option<&'static str> {
+        self.coding.as_ref().and_then(Coding::taken_of_colours)
     }
 
     /// Number of whole frames.
@@ -126,7 +134,13 @@ impl MovieReader {
         let read = self.file.seek(start).and_then(|_| self.file.read_exact(&mut self.buffer));
         read.map_err(|e| SessionError::io(path, e))?;
         let values = movie.pixels.decode(&self.buffer, movie.rows, movie.cols);
-        let values = values.map_err(|detail| SessionError::format(path, KIND, format!("frame {index}: {detail}")))?;
+        let values = values.map_err(|wrong| match wrong {
+            Wrong::Damaged(detail) => SessionError::format(path, KIND, format!("frame {index}: {detail}")),
+            Wrong::Colours => {
+                let remedy = "take one channel: ffmpeg -i IN.avi -pix_fmt gray -c:v rawvideo OUT.avi";
+                SessionError::value(path, format!("frame {index}"), "levels of grey", "colours", remedy)
+            }
+        })?;
         Ok(Decoded { values, damage: None })
     }
 }

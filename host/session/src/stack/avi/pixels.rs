@@ -24,6 +24,15 @@ pub(super) enum Pixels {
     Compressed([u8; 4]),
 }
 
+/// Why the pixels of a frame cannot be read.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Wrong {
+    /// What is damaged.
+    Damaged(&'static str),
+    /// Blue, green and red differ.
+    Colours,
+}
+
 impl Pixels {
     pub fn of(video: &Video) -> Result<Self, String> {
         let upwards = video.upwards;
@@ -68,8 +77,8 @@ impl Pixels {
     }
 
     /// The pixels of a frame, row by row.
-    pub fn decode(&self, data: &[u8], rows: usize, cols: usize) -> Result<Vec<f32>, String> {
-        let stride = self.stride(rows, cols, data.len() as u32).ok_or("it is too short")?;
+    pub fn decode(&self, data: &[u8], rows: usize, cols: usize) -> Result<Vec<f32>, Wrong> {
+        let stride = self.stride(rows, cols, data.len() as u32).ok_or(Wrong::Damaged("it is too short"))?;
         let mut values = Vec::with_capacity(rows * cols);
         for r in 0..rows {
             match self {
@@ -89,12 +98,12 @@ impl Pixels {
                     let row = &data[if *upwards { rows - 1 - r } else { r } * stride..];
                     for pixel in row[..bytes * cols].chunks_exact(*bytes) {
                         if pixel[0] != pixel[1] || pixel[1] != pixel[2] {
-                            return Err("it shows colours; convert the recording to grey levels".into());
+                            return Err(Wrong::Colours);
                         }
                         values.push(f32::from(pixel[0]));
                     }
                 }
-                Self::Compressed(_) => return Err("it is compressed".into()),
+                Self::Compressed(_) => return Err(Wrong::Damaged("it is compressed")),
             }
         }
         Ok(values)

@@ -48,7 +48,7 @@ pub(super) fn choose(path: &Path, variables: &[Variable], wanted: Option<&str>) 
         listed.push(format!("and {} more", variables.len() - MOST_LISTED));
     }
     let listed = if listed.is_empty() { "none".into() } else { listed.join(", ") };
-    let remedy = "name one that is there: `import --variable NAME`";
+    let remedy = "choose one with `import --variable NAME`, and give the session to other verbs";
     if let Some(name) = wanted {
         let Some(at) = variables.iter().position(|v| v.name == name) else {
             let field = format!("variable `{name}`");
