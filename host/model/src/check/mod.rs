@@ -10,6 +10,7 @@
 //! | [`drift`] | slow motion of the foci during the scan |
 //! | [`mod@array`] | the lenses that the foci form, against those that the manifest declares |
 //! | [`frames`] | the values of all frames: bit depth, saturation, black level, light levels, drift |
+//! | [`recording`] | what is lost of the recordings |
 //!
 //! `calibrate` runs the same checks first: what is an error here stops it.
 //!
@@ -32,6 +33,7 @@ pub mod drift;
 pub mod frames;
 pub mod hypotheses;
 pub mod positions;
+pub mod recording;
 pub mod scan;
 
 pub use array::Shown;
@@ -136,6 +138,7 @@ pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, 
     let (mut findings, levels) = frames::look(session, &mut step)?;
     findings.extend(frames::pixel_sizes(session)?);
     findings.extend(frames::damaged(session));
+    findings.extend(recording::losses(session));
     let mut found = None;
     if session.stacks_of(Role::Bead).next().is_some() {
         let scan = scan::Scan::read(session, &mut step)?;
