@@ -5,8 +5,8 @@
 use anyhow::{Context, bail};
 use ndarray::Array2;
 use ommatidia_model::dataset::Share;
-use ommatidia_session::artifact::{file_hash, remove_leftovers, write_whole};
-use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec, need_space};
+use ommatidia_session::artifact::{file_hash, folder_of, remove_leftovers, state_of_files, write_whole};
+use ommatidia_session::{FrameReader, FrameWriter, SampleType, StackSpec, need_file_size, need_space};
 use serde_json::{Value, json};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -18,7 +18,9 @@ pub const PLAN: &str = "parts.json";
 
 /// The parts of a reconstruction.
 pub struct Parts {
+    output: PathBuf,
     folder: PathBuf,
+    plan: Value,
     frames: usize,
 }
 
@@ -35,37 +37,48 @@ impl Parts {
     /// # Errors
     /// A file cannot be read.
     pub fn plan(frames: &mut FrameReader, with: &Path, method: &str, seed: u64) -> anyhow::Result<Value> {
-        // The first and the last frame stand for all: a recording of some terabytes is not read twice.
+        // The files as they are, and the first and the last frame: a recording of some terabytes is not read twice.
         let mut sums = Vec::new();
         for i in [0, frames.len() - 1] {
             sums.push(frames.read(i)?.iter().map(|v| f64::from(*v)).sum::<f64>());
         }
         let shape = [frames.len(), frames.rows(), frames.cols()];
+        let whole = [frames.path().to_path_buf()];
+        let files: Vec<PathBuf> = frames.parts().iter().map(|part| part.path.clone()).collect();
+        let files = state_of_files(if files.is_empty() { &whole } else { &files })?;
         let file = file_hash(with)?;
-        Ok(json!({ "method": method, "with": file, "seed": seed, "frames": shape, "sums": sums, "part": FRAMES }))
+        Ok(json!({
+            "method": method, "with": file, "seed": seed, "frames": shape, "sums": sums, "files": files, "part": FRAMES
+        }))
     }
 
-    /// Opens the folder, or makes it.
+    /// The parts of an output, of which some may be there. Nothing is written yet.
     ///
     /// # Errors
-    /// It holds parts of another reconstruction, or is not writable.
-    pub fn open(output: &Path, plan: &Value) -> anyhow::Result<Self> {
+    /// Its folder holds parts of another reconstruction.
+    pub fn open(output: &Path, plan: Value) -> anyhow::Result<Self> {
         let folder = Self::folder_of(output);
-        let named = || folder.display().to_string();
-        std::fs::create_dir_all(&folder).with_context(named)?;
-        let path = folder.join(PLAN);
-        match std::fs::read_to_string(&path) {
-            Ok(text) if serde_json::from_str::<Value>(&text).is_ok_and(|found| found == *plan) => {}
-            Ok(_) => bail!(
-                "{}: holds parts of another reconstruction (other frames, method, network or seed); remove the folder, \
-                 or choose another output",
+        let there = std::fs::read_to_string(folder.join(PLAN));
+        if there.is_ok_and(|text| serde_json::from_str::<Value>(&text).ok().as_ref() != Some(&plan)) {
+            bail!(
+                "{}: holds parts of another reconstruction (other method, network or seed, other frames, or a file of \
+                 frames that was changed since); remove the folder, or choose another output",
                 folder.display()
-            ),
-            // Several shares may write it at the same time: they write the same.
-            Err(_) => write_whole(&path, format!("{plan}\n").as_bytes())?,
+            );
         }
         let frames = plan["frames"][0].as_u64().unwrap_or(0) as usize;
-        Ok(Self { folder, frames })
+        Ok(Self { output: output.into(), folder, plan, frames })
+    }
+
+    /// Makes the folder, and notes in it what its parts are of.
+    fn begin(&self) -> anyhow::Result<()> {
+        std::fs::create_dir_all(&self.folder).with_context(|| self.folder.display().to_string())?;
+        let path = self.folder.join(PLAN);
+        if !path.is_file() {
+            // Several shares may write it at the same time: they write the same.
+            write_whole(&path, format!("{}\n", self.plan).as_bytes())?;
+        }
+        Ok(())
     }
 
     /// Number of parts.
@@ -80,7 +93,15 @@ impl Parts {
     }
 
     fn is_whole(&self, k: usize, frames: &Range<usize>) -> bool {
-        FrameReader::open(&self.path(k)).is_ok_and(|reader| reader.len() == frames.len())
+        let there = || FrameReader::open(&self.path(k)).is_ok_and(|reader| reader.len() == frames.len());
+        // Noted when the part was made: a part may have been damaged since.
+        let noted = std::fs::read_to_string(self.sum_path(k));
+        there() && noted.is_ok_and(|noted| file_hash(&self.path(k)).is_ok_and(|found| noted.trim() == found))
+    }
+
+    /// The file with the SHA-256 of a part.
+    fn sum_path(&self, k: usize) -> PathBuf {
+        self.path(k).with_extension("npy.sha256")
     }
 
     fn path(&self, k: usize) -> PathBuf {
@@ -111,13 +132,19 @@ impl Parts {
                     let (rows, cols) = object.dim();
                     let spec = StackSpec { frames: frames.len(), rows, cols, samples: SampleType::F32, pixel_um: None };
                     let of_frame = spec.bytes() / frames.len() as u64;
-                    need_space(&self.folder, &self.folder, ahead as u64 * of_frame)?;
+                    need_space(folder_of(&self.folder), &self.folder, ahead as u64 * of_frame)?;
+                    // A .zarr is many files.
+                    if !self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("zarr")) {
+                        need_file_size(&self.output, self.frames as u64 * of_frame)?;
+                    }
+                    self.begin()?;
                     writer.insert(FrameWriter::create(&path, spec)?)
                 }
             };
             writer.push(object.view())?;
         }
         writer.map_or(Ok(()), FrameWriter::finish)?;
+        write_whole(&self.sum_path(k), format!("{}\n", file_hash(&path)?).as_bytes())?;
         Ok(())
     }
 
