@@ -13,6 +13,8 @@ static RUNS: Mutex<Vec<Stopped>> = Mutex::new(Vec::new());
 /// What is to be done when a run is stopped.
 struct Stopped {
     outputs: Vec<PathBuf>,
+    /// Their locks, which this process holds.
+    locks: Vec<PathBuf>,
     how_to_go_on: &'static str,
 }
 
@@ -31,6 +33,7 @@ pub fn listen() -> anyhow::Result<()> {
     ctrlc::set_handler(|| {
         let runs = runs();
         runs.iter().flat_map(|run| &run.outputs).for_each(|output| remove_leftovers(output));
+        runs.iter().flat_map(|run| &run.locks).for_each(|lock| drop(std::fs::remove_file(lock)));
         // The outermost run is the command that the user gave.
         let how = runs.first().map_or("nothing was begun", |run| run.how_to_go_on);
         let _ = writeln!(std::io::stderr(), "\nstopped; {how}");
@@ -48,9 +51,9 @@ impl Drop for Advice {
     }
 }
 
-/// From now on Ctrl-C says how to go on with a run that writes these files.
+/// From now on Ctrl-C says how to go on with a run that writes these files, and holds their locks.
 pub fn advise(files: &Files) -> Advice {
     let (outputs, how_to_go_on) = files.advice();
-    runs().push(Stopped { outputs, how_to_go_on });
+    runs().push(Stopped { outputs, locks: files.locks(), how_to_go_on });
     Advice
 }
