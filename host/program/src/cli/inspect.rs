@@ -7,6 +7,7 @@ use ommatidia_model::dataset::{DataSetPlan, PLAN_FILE};
 use ommatidia_session::artifact;
 use ommatidia_session::import::{set_interval_s, times_of};
 use ommatidia_session::kind::FileKind;
+use ommatidia_session::stack::folder_of_recording;
 use ommatidia_session::{FrameReader, Session};
 use ommatidia_shared::blob::Network;
 use serde_json::{Value, json};
@@ -38,7 +39,7 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
             json!({ "kind": "json", "figures": figures })
         }
         FileKind::Folder if path.join(PLAN_FILE).exists() => of_data_set(path)?,
-        FileKind::Folder if FrameReader::open(path).is_ok() => of_stack(path)?,
+        FileKind::Folder if folder_of_recording(path).is_some() => of_stack(path)?,
         found @ (FileKind::Folder | FileKind::Page | FileKind::Picture | FileKind::Tensors | FileKind::Unknown) => {
             bail!(
                 "{}: expected an artifact, a network file, a session, a data set or a stack, found {found}",

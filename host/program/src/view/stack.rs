@@ -3,7 +3,7 @@
 use super::source::{Description, Group, Pane, Picture, Plane, Source};
 use ommatidia_report::{Look, Pixels};
 use ommatidia_session::import::{Times, notes_on, times_of};
-use ommatidia_session::{FrameReader, ObjectGrid, SampleType, SensorSpec};
+use ommatidia_session::{FrameReader, ObjectGrid, Part, SampleType, SensorSpec};
 use std::path::Path;
 
 /// Parts of a recording whose damage is told one by one.
@@ -24,7 +24,11 @@ impl StackSource {
     /// It cannot be read.
     pub fn open(path: &Path, grids: &[(SensorSpec, ObjectGrid)]) -> anyhow::Result<Self> {
         let reader = FrameReader::open(path)?;
-        let mut notes: Vec<String> = reader.parts().iter().filter_map(|part| part.damage.clone()).collect();
+        let damage = |part: &Part| {
+            let file = part.path.file_name().unwrap_or_default().to_string_lossy();
+            part.damage.as_ref().map(|damage| format!("{file}: {damage}"))
+        };
+        let mut notes: Vec<String> = reader.parts().iter().filter_map(damage).collect();
         let (torn, empty) =
             reader.parts().iter().fold((0, 0), |(torn, empty), p| (torn + p.torn.len(), empty + p.empty.len()));
         if notes.len() > TOLD {
