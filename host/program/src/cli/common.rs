@@ -32,7 +32,7 @@ pub struct Run {
     /// Log more to stderr; repeat for more detail
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
     pub verbose: u8,
-    /// Print only errors to stderr
+    /// Print only errors to stderr: no warnings, no notes, no progress. Results are still printed to stdout
     #[arg(short, long, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
 }
@@ -205,15 +205,47 @@ pub(super) struct Findings {
     pub json: serde_json::Value,
 }
 
+/// An outcome whose frames are not all that were recorded, where `--strict` asks for an exit code that says so. All
+/// outputs are written.
+#[derive(Debug, thiserror::Error)]
+#[error("frames are lost, left out or damaged")]
+struct Lossy(Outcome);
+
+/// Exit code of a run that succeeded with [`Lossy`] frames.
+const LOSSY: u8 = 3;
+
+/// An option of verbs that read recordings.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct Strict {
+    /// End with exit code 3 where a frame was lost, left out or damaged; the output is written all the same
+    #[arg(long)]
+    strict: bool,
+}
+
+impl Strict {
+    /// The outcome of a verb; `lossy` says whether frames were lost, left out or damaged.
+    ///
+    /// # Errors
+    /// They were, and the option is given: [`finish`] prints the outcome and gives the exit code.
+    pub fn judge(self, lossy: bool, outcome: Outcome) -> anyhow::Result<Outcome> {
+        if self.strict && lossy { Err(Lossy(outcome).into()) } else { Ok(outcome) }
+    }
+}
+
 /// Prints an outcome or an error and gives the exit code.
 ///
 /// A reader that has gone away (`ommatidia ... | head`) is no failure.
 pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
+    let (result, code) = match result.map_err(|error| error.downcast::<Lossy>()) {
+        Ok(outcome) => (Ok(outcome), ExitCode::SUCCESS),
+        Err(Ok(Lossy(outcome))) => (Ok(outcome), ExitCode::from(LOSSY)),
+        Err(Err(error)) => (Err(error), ExitCode::FAILURE),
+    };
     let error = match result {
         Ok(outcome) => {
             let text = if run.json { format!("{}\n", outcome.json) } else { outcome.text };
             match print(text.as_bytes()) {
-                Ok(()) => return ExitCode::SUCCESS,
+                Ok(()) => return code,
                 Err(e) => anyhow::Error::new(e).context("standard output"),
             }
         }

@@ -1,5 +1,6 @@
 //! `import`: recordings of other programs in, a session out.
 
+use super::common::{Strict, warn};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, bail};
@@ -45,6 +46,8 @@ pub struct Args {
     /// Bits of the converter [default: as --like says, or the fewest of 8, 10, 12, 14, 16 that hold all values]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=32))]
     bit_depth: Option<u32>,
+    #[command(flatten)]
+    strict: Strict,
 }
 
 fn source(text: &str) -> Result<Source, String> {
@@ -126,7 +129,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     bar.finish_and_clear();
     let session = Session::open(&args.output)?;
     let sensor = session.manifest().sensor;
-    let mut text: String = found.iter().map(Found::text).collect();
+    let warnings = warn(found.iter().flat_map(|f| f.warnings.iter().cloned()));
+    let mut text: String = found.iter().map(|f| shown(f, run.quiet)).collect();
     let mut notes = Vec::new();
     if args.bit_depth.is_none() && args.like.is_none() {
         notes.push(format!("{} bits are the fewest that hold all values (--bit-depth)", sensor.bit_depth));
@@ -135,16 +139,40 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let um = session.manifest().object.pixel_um;
         notes.push(format!("one lens, and pixels of {um} um, are assumed (--like INSTRUMENT, or --pixel-um)"));
     }
-    notes.iter().for_each(|note| text += &format!("note: {note}\n"));
+    if !run.quiet {
+        notes.iter().for_each(|note| text += &format!("note: {note}\n"));
+    }
     let seconds = started.elapsed().as_secs_f64();
+    let lossy = found.iter().any(|f| f.losses.any());
+    let lost: usize = found.iter().map(|f| f.losses.lost).sum();
     text += &format!(
-        "-> {} ({frames} frames, read at {:.0} frames a second)\n",
+        "-> {} ({}, read at {:.0} frames a second)\n",
         args.output.display(),
+        used(&found, frames, lost, lossy),
         frames as f64 / seconds
     );
     let json = json!({
         "session": args.output, "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found, "notes": notes,
-        "frames": frames, "seconds": seconds,
+        "frames": frames, "lost": lost, "warnings": warnings, "seconds": seconds,
     });
-    Ok(Outcome { json, text })
+    args.strict.judge(lossy, Outcome { json, text })
+}
+
+/// What was found in a recording, with its notes unless they are not wanted.
+fn shown(found: &Found, quiet: bool) -> String {
+    let notes = found.notes.iter().filter(|_| !quiet).map(|note| format!("  note        {note}\n"));
+    std::iter::once(found.text()).chain(notes).collect()
+}
+
+/// How many frames are used of how many that were recorded.
+fn used(found: &[Found], frames: u64, lost: usize, lossy: bool) -> String {
+    let damaged: usize = found.iter().map(|f| f.losses.damaged_frames.len()).sum();
+    let which = if damaged > 0 { format!(", {damaged} of them damaged") } else { String::new() };
+    match (lossy, lost) {
+        (false, _) if frames == 1 => "1 frame".into(),
+        (false, _) => format!("all {frames} frames are used"),
+        (true, 0) if damaged > 0 => format!("{frames} frames are used{which}"),
+        (true, 0) => format!("{frames} frames are used; how many are lost is not known"),
+        (true, lost) => format!("{frames} of {} frames are used{which}", frames + lost as u64),
+    }
 }

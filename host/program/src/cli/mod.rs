@@ -231,7 +231,8 @@ impl Cli {
     }
 }
 
-/// Parses the command line, runs the verb, prints, and gives the exit code: 0 done, 1 failed, 2 usage.
+/// Parses the command line, runs the verb, prints, and gives the exit code: 0 done, 1 failed, 2 usage, 3 done
+/// with frames lost (`--strict`).
 pub fn main() -> std::process::ExitCode {
     let cli = Cli::try_parse().unwrap_or_else(|error| {
         if error.use_stderr() && std::env::args().any(|word| word == "--json") {

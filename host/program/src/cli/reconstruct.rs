@@ -4,7 +4,7 @@ mod input;
 mod limits;
 mod parts;
 
-use super::common::{ResultScale, warn};
+use super::common::{ResultScale, Strict, warn};
 use super::files::{Content, Files};
 use super::shard::shard;
 use super::uncertainty::instrument_for;
@@ -77,6 +77,8 @@ pub struct Args {
     /// Instrument that the widths were made for [default: the file of --with, if it is an instrument]
     #[arg(long, value_name = "FILE", requires = "uncertainty")]
     instrument: Option<PathBuf>,
+    #[command(flatten)]
+    strict: Strict,
 }
 
 impl Args {
@@ -172,7 +174,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let parts = match args.resume || args.shard.is_some() {
         true => {
             let plan = Parts::plan(&mut input.frames, &args.with, kind.name(), run.seed)?;
-            Some(Parts::open(&args.output, &plan)?)
+            Some(Parts::open(&args.output, plan)?)
         }
         false => None,
     };
@@ -238,18 +240,18 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     if let (Some(path), Some(table)) = (&args.times, table) {
         artifact::write_whole(path, table.as_bytes())?;
     }
-    let found = work.input.warnings();
+    let losses = work.input.losses();
+    let found = work.input.warnings(&losses, args.times.is_some());
     let limited = work.limits.take().map(|limits| limits.finish(&args.frames)).transpose()?;
     let (doubts, intervals) = limited.unwrap_or_default();
     let watched = work.watch.and_then(|watch| watch.warning(&args.frames));
     let warnings = warn(found.into_iter().chain(watched).chain(doubts));
     let (seconds, done) = (work.seconds, work.done);
     let per_frame = seconds / done.max(1) as f64;
-    let gaps = work.input.times.as_ref().map_or(0, |t| t.gaps.len());
     let mut text = format!(
-        "{} ({} frames, {}): {} a frame, after {} of planning\n",
+        "{} ({}, {}): {} a frame, after {} of planning\n",
         args.output.display(),
-        count,
+        losses.used(count),
         ommatidia_network::methods::title(&name),
         ommatidia_report::seconds(per_frame),
         ommatidia_report::seconds(plan_seconds)
@@ -259,18 +261,21 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     if args.shard.is_some() {
         let folder = Parts::folder_of(&args.output);
-        text = format!("{} frames made in {}; {missing} parts are missing\n", done, folder.display());
+        let made = if done == 1 { "1 frame".into() } else { format!("{done} frames") };
+        let absent = if missing == 1 { "1 part is".into() } else { format!("{missing} parts are") };
+        text = format!("{made} made in {}; {absent} missing\n", folder.display());
         if missing == 0 {
             text += "all parts are there: the same command with --resume in place of --shard makes the output\n";
         }
     }
-    Ok(Outcome {
+    let outcome = Outcome {
         json: serde_json::json!({
             "method": name, "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
             "pixel_um": pixel_um, "interval_s": interval_s, "output": args.output, "warnings": warnings,
-            "frames_made": done, "parts_missing": missing, "gaps": gaps, "times": args.times,
-            "intervals": intervals,
+            "frames_made": done, "parts_missing": missing, "gaps": losses.gaps.len(),
+            "times": args.times, "intervals": intervals, "lost": losses.lost, "losses": losses,
         }),
         text,
-    })
+    };
+    args.strict.judge(losses.any() || work.input.is_damaged(), outcome)
 }

@@ -1,7 +1,7 @@
 //! The frames that are reconstructed: a file, a folder of a recording, or the scenes of a session; and their times.
 
 use anyhow::bail;
-use ommatidia_session::import::{Times, notes_on, set_interval_s, times_of};
+use ommatidia_session::import::{Losses, Times, losses_of, notes_on, set_interval_s, times_or_why};
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::{FrameReader, Role, Session};
 use std::fmt::Write;
@@ -12,11 +12,15 @@ pub struct Input {
     /// The frames.
     pub frames: FrameReader,
     /// Times of the frames, where a table has them.
-    pub times: Option<Times>,
+    times: Option<Times>,
     /// The time from one frame to the next by the metadata or the files, s, where they state it.
     set_interval_s: Option<f64>,
+    /// What is lost of the recording, without damage that shows when frames are read.
+    lost: Losses,
     /// What is said of frames that the table of a session marks as damaged.
     damaged: Option<String>,
+    /// What is to be known of the files, as they were when they were opened.
+    notes: Vec<String>,
 }
 
 impl Input {
@@ -29,9 +33,13 @@ impl Input {
             return Self::of_session(path);
         }
         let frames = FrameReader::open(path)?;
-        let times = times_of(&frames)?;
+        let (times, unread) = times_or_why(&frames)?;
         let set_interval_s = set_interval_s(&frames)?;
-        Ok(Self { frames, times, set_interval_s, damaged: None })
+        let lost = losses_of(&frames)?;
+        let mut notes: Vec<String> = unread.into_iter().chain(notes_on(&frames)).collect();
+        let table = times.iter().flat_map(Times::table_notes);
+        notes.extend(table.map(|note| format!("{}: {note}", path.display())));
+        Ok(Self { frames, times, set_interval_s, lost, damaged: None, notes })
     }
 
     fn of_session(path: &Path) -> anyhow::Result<Self> {
@@ -47,7 +55,14 @@ impl Input {
         let frames = stack.frames()?;
         let set_interval_s = set_interval_s(&frames)?;
         let damaged = stack.damaged_note("their reconstructions show what was never measured");
-        Ok(Self { frames, times, set_interval_s, damaged })
+        let notes = notes_on(&frames);
+        let mut lost = stack.losses();
+        if let Some(times) = times.as_ref().filter(|_| lost.gaps.is_empty()) {
+            // The table of a session that was not imported may have gaps, too.
+            let missing = times.gaps.iter().map(|gap| gap.missing).sum();
+            (lost.gaps, lost.lost) = (times.gaps.clone(), lost.lost.max(missing));
+        }
+        Ok(Self { frames, times, set_interval_s, lost, damaged, notes })
     }
 
     /// The time from one frame to the next, s, where it is the same for all.
@@ -59,40 +74,30 @@ impl Input {
         }
     }
 
-    /// What is not reconstructed since it is not whole, which frames are damaged, and where frames are missing.
-    pub fn warnings(&self) -> Vec<String> {
-        let mut warnings = Vec::new();
-        for part in self.frames.parts() {
-            let (torn, empty) = (part.torn.len(), part.empty.len());
-            let mut what = Vec::new();
-            if torn + empty > 0 {
-                what.push(format!("{torn} frames that are not whole and {empty} without data were left out"));
-            }
-            if let Some((frame, first)) = part.damaged.first() {
-                let others = match part.damaged.len() - 1 {
-                    0 => String::new(),
-                    n => format!("; so are {n} more of its frames"),
-                };
-                what.push(format!("frame {frame} is damaged: {first}{others}"));
-            }
-            what.extend(part.damage.clone());
-            if !what.is_empty() {
-                warnings.push(format!("{}: {}", part.path.display(), what.join("; ")));
-            }
+    /// Whether the table of a session marks frames as damaged.
+    pub fn is_damaged(&self) -> bool {
+        self.damaged.is_some()
+    }
+
+    /// What is lost of the frames; damage of compressed frames is known of those that were read.
+    pub fn losses(&self) -> Losses {
+        // What the table of a session marks is said once.
+        let damaged_frames = match self.damaged {
+            Some(_) => Vec::new(),
+            None => Losses::of(&self.frames, None, None).damaged_frames,
+        };
+        Losses { damaged_frames, ..self.lost.clone() }
+    }
+
+    /// What is lost, and what is to be known of the files. `timed` says whether the times of the frames are written.
+    pub fn warnings(&self, losses: &Losses, timed: bool) -> Vec<String> {
+        let path = self.frames.path();
+        let mut warnings = losses.warnings(path);
+        if !losses.gaps.is_empty() {
+            let hint = if timed { "" } else { " (--times FILE writes the time of each)" };
+            warnings.push(format!("{}: the output holds the frames one after another{hint}", path.display()));
         }
-        warnings.extend(notes_on(&self.frames));
-        warnings.extend(self.damaged.clone());
-        let table = self.times.iter().flat_map(Times::table_notes);
-        warnings.extend(table.map(|note| format!("{}: {note}", self.frames.path().display())));
-        if let Some(times) = self.times.as_ref().filter(|t| !t.gaps.is_empty()) {
-            let missing: usize = times.gaps.iter().map(|g| g.missing).sum();
-            let path = self.frames.path().display();
-            let gaps = times.gaps.len();
-            warnings.push(format!(
-                "{path}: {missing} frames are missing in {gaps} gaps; the output holds the frames one after another \
-                 (--times FILE writes the time of each)"
-            ));
-        }
+        warnings.extend(self.notes.iter().chain(&self.damaged).cloned());
         warnings
     }
 
