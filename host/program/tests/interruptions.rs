@@ -70,6 +70,19 @@ fn a_training_that_is_killed_ends_in_the_same_bytes() {
     assert!(std::fs::read(whole).unwrap() == std::fs::read(killed).unwrap());
 }
 
+#[test]
+fn a_training_that_is_interrupted_leaves_no_lock() {
+    let (session, pairs) = pairs();
+    let output = session.beside("network");
+    let mut child = start(&train(&pairs, &output));
+    wait_for_more_than(0, &output, Duration::ZERO);
+    assert!(Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap().success());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+    let names = std::fs::read_dir(session.beside("")).unwrap().flatten().map(|e| e.file_name());
+    let hidden: Vec<_> = names.filter(|name| name.to_string_lossy().starts_with('.')).collect();
+    assert!(hidden.is_empty(), "{hidden:?} was left");
+}
+
 /// A limit on the size of files acts as a full disk does: the write fails in its midst.
 #[test]
 fn a_full_disk_leaves_the_last_checkpoint() {

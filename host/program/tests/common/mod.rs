@@ -2,6 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used)]
 
 pub mod desk;
+pub mod miniscope;
 mod tiny;
 
 pub use tiny::{Fault, TinySession};
