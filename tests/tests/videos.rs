@@ -163,3 +163,47 @@ fn damaged_frames_are_named_and_move_no_other() {
     assert_eq!(damaged, (10..16).collect::<Vec<_>>());
     assert!(wrong.contains(&10) && wrong.iter().all(|i| damaged.contains(i)), "{wrong:?}");
 }
+
+/// What ffmpeg says of a file that it cannot read is one line, the same each time.
+#[test]
+fn a_video_that_ffmpeg_cannot_read_has_one_reason() {
+    let desk = tempfile::tempdir().unwrap();
+    std::fs::write(desk.path().join("raw"), (0..3).flat_map(frame).collect::<Vec<u8>>()).unwrap();
+    let size = format!("{COLS}x{ROWS}");
+    let input = ["-v", "error", "-f", "rawvideo", "-pix_fmt", "gray", "-s", &size, "-i", "raw"];
+    let coding = ["-c:v", "ffv1", "-level", "3", "-slicecrc", "1", "whole.avi"];
+    match Command::new("ffmpeg").args(input).args(coding).current_dir(desk.path()).status() {
+        Ok(status) => assert!(status.success()),
+        Err(e) if e.kind() == std::io::ErrorKind::NotFound => {
+            skip("a_video_that_ffmpeg_cannot_read_has_one_reason", "ffmpeg is not installed");
+            return;
+        }
+        Err(e) => panic!("{e}"),
+    }
+    let whole = std::fs::read(desk.path().join("whole.avi")).unwrap();
+    let read = |name: &str, bytes: &[u8]| {
+        let path = desk.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        FrameReader::open(&path).unwrap_err().to_string()
+    };
+    let coded = |with: &[u8]| {
+        let mut bytes = whole.clone();
+        while let Some(at) = bytes.windows(4).position(|w| w == b"FFV1") {
+            bytes[at..at + 4].copy_from_slice(with);
+        }
+        bytes
+    };
+    let unknown = read("unknown.avi", &coded(b"XYZW"));
+    assert!(unknown.contains("ffmpeg does not know its coding, `XYZW`"), "{unknown}");
+    // The header of the coding lies behind the 40 bytes that describe the frames.
+    let mut bytes = whole.clone();
+    let at = bytes.windows(4).position(|w| w == b"strf").unwrap() + 8 + 40;
+    bytes[at..at + 16].fill(0xff);
+    let [first, second] = [(); 2].map(|()| read("header.avi", &bytes));
+    assert_eq!(first, second);
+    assert!(
+        !first.contains("0x") && !first.contains('\n') && !first.contains("()") && !first.contains(": )"),
+        "{first}"
+    );
+    assert_eq!(first.matches("header.avi").count(), 1, "{first}");
+}

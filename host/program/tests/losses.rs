@@ -44,19 +44,20 @@ fn every_verb_names_the_same_losses() {
     let keep = |name: &str| std::fs::read(recording.join(name)).unwrap();
     let files = ["0.avi", "1.avi", "2.avi"].map(keep);
     let short = avi(&(60..80).collect::<Vec<_>>());
-    let cases: [(&str, &[(usize, Option<&[u8]>)], u64, &str); 4] = [
-        ("first", &[(0, None)], 30, "Whole: file 0 is missing"),
-        ("last", &[(2, None)], 30, "Whole: 30 frames are missing after the last"),
-        ("end", &[(2, Some(&short))], 10, "Whole/2.avi: it is short: it has 20 whole frames, and should have 30"),
-        ("middle", &[(1, Some(b"no video"))], 30, "Whole: 30 frames are missing in 1 gap"),
+    // The file that is lost or other, what is in it then, the number of lost frames, and how it is said.
+    let cases: [(&str, usize, Option<&[u8]>, u64, &str); 4] = [
+        ("first", 0, None, 30, "Whole: file 0 is missing"),
+        ("last", 2, None, 30, "Whole: 30 frames are missing after the last"),
+        ("end", 2, Some(&short), 10, "Whole/2.avi: it is short: it has 20 whole frames, and should have 30"),
+        ("middle", 1, Some(b"no video"), 30, "Whole: 30 frames are missing in 1 gap"),
     ];
-    for (name, changes, lost, sentence) in cases {
+    for (name, changed, content, lost, sentence) in cases {
         for (i, bytes) in files.iter().enumerate() {
             let path = recording.join(format!("{i}.avi"));
-            match changes.iter().find(|(file, _)| *file == i) {
-                None => std::fs::write(path, bytes).unwrap(),
-                Some((_, Some(bytes))) => std::fs::write(path, bytes).unwrap(),
-                Some((_, None)) => std::fs::remove_file(path).unwrap(),
+            match content {
+                _ if i != changed => std::fs::write(path, bytes).unwrap(),
+                Some(bytes) => std::fs::write(path, bytes).unwrap(),
+                None => std::fs::remove_file(path).unwrap(),
             }
         }
         let imported = json(desk.path(), &format!("import Whole -o {name}"));

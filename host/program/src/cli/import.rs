@@ -172,7 +172,8 @@ fn used(found: &[Found], frames: u64, lost: usize, lossy: bool) -> String {
         (false, _) if frames == 1 => "1 frame".into(),
         (false, _) => format!("all {frames} frames are used"),
         (true, 0) if damaged > 0 => format!("{frames} frames are used{which}"),
-        (true, 0) => format!("{frames} frames are used; how many are lost is not known"),
+        // A file is damaged, and no table or length of files says what was in it.
+        (true, 0) => format!("{frames} frames are used; see the warnings"),
         (true, lost) => format!("{frames} of {} frames are used{which}", frames + lost as u64),
     }
 }

@@ -167,6 +167,7 @@ impl Work<'_> {
 /// A file cannot be read or does not fit the method, or the output cannot be written. No output is left then; parts
 /// stay.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
+    FrameWriter::check_name(&args.output)?;
     let mut input = Input::open(&args.frames)?;
     let table = args.times.as_ref().map(|_| input.table()).transpose()?;
     let kind = args.method.map_or_else(|| MethodKind::default_for(&args.with), Ok)?;

@@ -100,7 +100,8 @@ impl Losses {
                 times.unused.max(times.before + missing + times.after)
             }
             None => {
-                let of_files = losses.missing_files.len() * if filled { full } else { 1 };
+                let unread = parts.iter().filter(|p| !filled && p.listed == 0).count();
+                let of_files = losses.missing_files.len() * if filled { full } else { 1 } + unread;
                 let of_short: usize = short.iter().map(|(_, frames, full)| full - frames).sum();
                 let elsewhere = torn.iter().filter(|t| short.iter().all(|(file, ..)| *file != t.file)).count();
                 of_files + of_short + elsewhere
@@ -111,8 +112,9 @@ impl Losses {
 
     /// Whether any frame is lost, left out or damaged.
     pub fn any(&self) -> bool {
+        // Files that are short by the metadata alone are not: the timestamps would show it.
         let listed = self.torn.len() + self.damaged_frames.len() + self.damaged.len() + self.missing_files.len();
-        self.lost + self.short.len() + listed > 0
+        self.lost + listed > 0
     }
 
     /// How many of the recorded frames are used: `160 of 260 frames`, of a stack of `frames` frames.

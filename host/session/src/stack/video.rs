@@ -24,8 +24,7 @@ pub(super) struct VideoWriter {
 impl VideoWriter {
     /// Starts a video. ffmpeg is asked for at once, so that no work is lost without it.
     pub fn create(folder: &Path, shown: &Path) -> Result<Self, SessionError> {
-        let found = ffmpeg::command(FFMPEG).arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
-        found.map_err(|e| ffmpeg::missing_to_write(shown, FFMPEG, &e))?;
+        need_ffmpeg(shown)?;
         let kept = tempfile::tempfile_in(folder).map_err(|e| SessionError::io(shown, e))?;
         Ok(Self { kept: BufWriter::new(kept), largest: 0.0 })
     }
@@ -68,6 +67,12 @@ impl VideoWriter {
         }
         Ok(())
     }
+}
+
+/// Refuses to begin a video without ffmpeg.
+pub(super) fn need_ffmpeg(shown: &Path) -> Result<(), SessionError> {
+    let found = ffmpeg::command(FFMPEG).arg("-version").stdout(Stdio::null()).stderr(Stdio::null()).status();
+    found.map(drop).map_err(|e| ffmpeg::missing_to_write(shown, FFMPEG, &e))
 }
 
 fn command(path: &Path, shown: &Path, spec: &StackSpec, interval_s: Option<f64>) -> Command {

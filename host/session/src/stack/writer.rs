@@ -3,7 +3,7 @@
 use super::layout::{Container, SampleType, StackSpec};
 use super::npy_header::NpyHeader;
 use super::ome;
-use super::video::VideoWriter;
+use super::video::{self, VideoWriter};
 use super::zarr::ZarrWriter;
 use crate::artifact;
 use crate::error::SessionError;
@@ -72,6 +72,17 @@ impl FrameWriter {
     /// has no room for the whole stack, or ffmpeg, which a video needs, is not installed.
     pub fn create(path: &Path, spec: StackSpec) -> Result<Self, SessionError> {
         Self::create_as(path, path, spec)
+    }
+
+    /// Whether a stack can be written to `path`, before hours of work for it.
+    ///
+    /// # Errors
+    /// The suffix is none of those of [`FrameWriter::create`], or ffmpeg, which a video needs, is not installed.
+    pub fn check_name(path: &Path) -> Result<(), SessionError> {
+        match Container::to_write(path, path)? {
+            Container::Avi | Container::Mp4 => video::need_ffmpeg(path),
+            _ => Ok(()),
+        }
     }
 
     /// As [`FrameWriter::create`], for a file at `path` that messages name `shown`: it lies in a temporary folder.
