@@ -45,11 +45,11 @@ fn every_verb_names_the_same_losses() {
     let files = ["0.avi", "1.avi", "2.avi"].map(keep);
     let short = avi(&(60..80).collect::<Vec<_>>());
     // The file that is lost or other, what is in it then, the number of lost frames, and how it is said.
-    let cases: [(&str, usize, Option<&[u8]>, u64, &str); 4] = [
+    let cases = [
         ("first", 0, None, 30, "Whole: file 0 is missing"),
         ("last", 2, None, 30, "Whole: 30 frames are missing after the last"),
-        ("end", 2, Some(&short), 10, "Whole/2.avi: it is short: it has 20 whole frames, and should have 30"),
-        ("middle", 1, Some(b"no video"), 30, "Whole: 30 frames are missing in 1 gap"),
+        ("end", 2, Some(&short[..]), 10, "Whole/2.avi: it is short: it has 20 whole frames, and should have 30"),
+        ("middle", 1, Some(&b"no video"[..]), 30, "Whole: 30 frames are missing in 1 gap"),
     ];
     for (name, changed, content, lost, sentence) in cases {
         for (i, bytes) in files.iter().enumerate() {
