@@ -216,8 +216,8 @@ impl Files {
         if let Some(recording) = self.reads.iter().flat_map(|read| recordings(read)).find(|r| lies_in(path, r)) {
             let recording = recording.display();
             bail!(
-                "{named}: lies in the recording {recording}, which the command reads: the next reader would take it for \
-                 a part of the recording; choose another folder"
+                "{named}: lies in the recording {recording}, which the command reads: the next reader would take it \
+                 for a part of the recording; choose another folder"
             );
         }
         if !path.exists() {
@@ -276,7 +276,8 @@ fn lies_in(path: &Path, folder: &Path) -> bool {
     }
 }
 
-/// The folders of recordings that a command reads with an input: its own, or those that the manifest of a session names.
+/// The folders of recordings that a command reads with an input: its own, or those that the manifest of a session
+/// names.
 fn recordings(input: &Path) -> Vec<PathBuf> {
     let manifest = input.join(MANIFEST);
     let Some(text) = std::fs::read_to_string(&manifest).ok() else {

@@ -29,7 +29,7 @@ pub fn json(folder: &Path, words: &str) -> Value {
     serde_json::from_str(&out).unwrap()
 }
 
-/// Frame `i` of a recording: a pattern that tells the number.
+/// Frame `i` of a recording: a pattern that shows the number.
 pub fn frame(i: usize) -> Vec<u8> {
     (0..ROWS * COLS).map(|p| (40 + (7 * i + p) % 97) as u8).collect()
 }

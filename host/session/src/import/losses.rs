@@ -1,5 +1,5 @@
-//! What is lost of a recording: frames that are missing, left out or damaged, and how that is said. Every verb that reads
-//! a recording names its losses from here.
+//! What is lost of a recording: frames that are missing, left out or damaged, and how that is said. Every verb that
+//! reads a recording names its losses from here.
 
 use super::times::{Gap, Times, usual_first};
 use super::{metadata_of, times_or_why};

@@ -312,8 +312,8 @@ impl Times {
         self.time_s.extend((0..self.estimated).map(next));
     }
 
-    /// What is to be known of the table of timestamps: what it lacks at its end, which of several cameras was taken, and
-    /// which unit where it states none.
+    /// What is to be known of the table of timestamps: what it lacks at its end, which of several cameras was taken,
+    /// and which unit where it states none.
     pub fn table_notes(&self) -> impl Iterator<Item = String> + '_ {
         let unfinished = self.unfinished.as_ref().map(|what| format!("the table of timestamps {what}"));
         unfinished.into_iter().chain(self.camera.clone()).chain(self.assumed.clone())
