@@ -81,7 +81,10 @@ fn measured(instrument: &Instrument, session: &Session, seen: &Observations) -> 
     let of_sensor =
         part_of(session, |s, stack, i| matches!(stack.role(), Role::Dark | Role::Flat) && !held_out.contains(&(s, i)))?;
     let noise = &instrument.noise;
-    let config = NoiseConfig { nominal_gain_dn_per_e: noise.gain_dn_per_e, nominal_read_noise_e: noise.read_noise_e };
+    let config = NoiseConfig {
+        nominal_gain_dn_per_e: Some(noise.gain_dn_per_e),
+        nominal_read_noise_e: Some(noise.read_noise_e),
+    };
     Ok(measure_noise(&of_sensor, &config, || ())?)
 }
 

@@ -148,10 +148,7 @@ impl PyInstrument {
             replicates: replicates.unwrap_or(usual.replicates),
             normalise_beads,
             accept,
-            noise: NoiseConfig {
-                nominal_gain_dn_per_e: gain_dn_per_e.unwrap_or(usual.noise.nominal_gain_dn_per_e),
-                nominal_read_noise_e: read_noise_e.unwrap_or(usual.noise.nominal_read_noise_e),
-            },
+            noise: NoiseConfig { nominal_gain_dn_per_e: gain_dn_per_e, nominal_read_noise_e: read_noise_e },
         };
         let (calibration, provenance) = work::long(py, progress, move |steps| {
             let (total, done) = (frames_read(&session), Cell::new(0));

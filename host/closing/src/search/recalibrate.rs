@@ -43,8 +43,10 @@ pub(crate) fn calibration_of(
     before: &Instrument,
     config: &CalibrateConfig,
 ) -> anyhow::Result<Instrument> {
-    let nominal_gain_dn_per_e = before.noise.gain_dn_per_e;
-    let noise = NoiseConfig { nominal_gain_dn_per_e, nominal_read_noise_e: before.noise.read_noise_e };
+    let noise = NoiseConfig {
+        nominal_gain_dn_per_e: Some(before.noise.gain_dn_per_e),
+        nominal_read_noise_e: Some(before.noise.read_noise_e),
+    };
     let mut it = calibrate(session, &CalibrateConfig { noise, ..*config }, || {})?.instrument;
     let has = |role| session.stacks_of(role).next().is_some();
     let (darks, flats) = (has(Role::Dark), has(Role::Flat));

@@ -17,7 +17,7 @@ use crate::slopes::Slopes;
 use ndarray::Array2;
 use ommatidia_physics::noise::{Bend, NoiseCalibration, NoiseConfig, inverse_response, measure_noise};
 use ommatidia_physics::sensor::SensorMaps;
-use ommatidia_session::{Manifest, Role, Session};
+use ommatidia_session::{Manifest, Role, Session, with_error};
 use serde::{Deserialize, Serialize};
 
 /// Largest NRMSE on positions that were left out, apart from the noise: a model that misses more than a quarter of the
@@ -256,10 +256,10 @@ fn background_note(found: Option<&BeadBackground>) -> Option<String> {
     b.is_seen().then(|| {
         let [level, row, col] = b.mean_e;
         format!(
-            "the bead frames have a background of {level:.2} +- {:.2} e- a pixel ({row:+.2} e- from the first to the \
-             last row, {col:+.2} e- from the first to the last column): removed from the PSFs. Scenes of this session \
-             may have it too; `close` fits it",
-            b.sigma_e[0]
+            "the bead frames have a background of {} e- a pixel ({row:+.2} e- from the first to the last row, {col:+.2} \
+             e- from the first to the last column): removed from the PSFs. Scenes of this session may have it too; \
+             `close` fits it",
+            with_error(level, b.sigma_e[0], 2)
         )
     })
 }

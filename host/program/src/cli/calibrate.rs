@@ -9,6 +9,7 @@ use ommatidia_model::instrument::LightUnit;
 use ommatidia_network::evaluate::{Measured, measured};
 use ommatidia_physics::noise::{NoiseConfig, Source};
 use ommatidia_report::bytes;
+use ommatidia_session::{with_error, with_error_signed};
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -48,14 +49,14 @@ pub struct Args {
     /// Calibrate even where the checks of the session find errors; they are printed as warnings
     #[arg(long)]
     accept: bool,
-    /// Gain, DN per electron, that is assumed if there are no flats
-    #[arg(long, value_name = "DN/E", allow_negative_numbers = true,
-        default_value_t = NoiseConfig::default().nominal_gain_dn_per_e)]
-    gain: f64,
-    /// Read noise, electrons rms, that is assumed if the session does not determine it
-    #[arg(long, value_name = "E", allow_negative_numbers = true,
-        default_value_t = NoiseConfig::default().nominal_read_noise_e)]
-    read_noise: f64,
+    /// Gain, DN per electron, that is used if no flats determine it [default: estimated from a video of a specimen that
+    /// keeps nearly still, else 1]
+    #[arg(long, value_name = "DN/E", allow_negative_numbers = true)]
+    gain: Option<f64>,
+    /// Read noise, electrons rms, that is used if neither darks nor flats determine it [default: estimated from bead
+    /// frames or a video, else 2]
+    #[arg(long, value_name = "E", allow_negative_numbers = true)]
+    read_noise: Option<f64>,
 }
 
 impl Args {
@@ -109,9 +110,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
 fn table(args: &Args, calibration: &Calibration) -> String {
     let i = &calibration.instrument;
     let (n, q) = (&i.noise, &i.quality);
-    let source = |s: Source| match s {
+    let source = |s: Source, given: Option<f64>| match s {
         Source::Measured => "measured",
         Source::Inferred => "inferred",
+        Source::Nominal if given.is_some() => "given",
         Source::Nominal => "nominal",
     };
     let mut out = String::new();
@@ -119,13 +121,16 @@ fn table(args: &Args, calibration: &Calibration) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(out, "{name:<22} {value:>22}   {note}");
     };
-    line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level));
+    line("black level", format!("{:.2} DN", n.black_level_dn), source(n.sources.black_level, None));
     // The error of a nominal value is unknown, not 0.
-    let error = |sigma: String, of: Source| if of == Source::Nominal { String::new() } else { format!(" +- {sigma}") };
-    let of_gain = error(format!("{:.4}", n.gain_sigma), n.sources.gain);
-    line("gain", format!("{:.4}{of_gain} DN/e-", n.gain_dn_per_e), source(n.sources.gain));
-    let of_noise = error(format!("{:.3}", n.read_noise_sigma), n.sources.read_noise);
-    line("read noise", format!("{:.3}{of_noise} e-", n.read_noise_e), source(n.sources.read_noise));
+    let figure = |(value, sigma): (f64, f64), least: usize, of: Source| match of {
+        Source::Nominal => format!("{value:.least$}"),
+        Source::Measured | Source::Inferred => with_error(value, sigma, least),
+    };
+    let gain = figure((n.gain_dn_per_e, n.gain_sigma), 4, n.sources.gain);
+    line("gain", format!("{gain} DN/e-"), source(n.sources.gain, args.gain));
+    let read_noise = figure((n.read_noise_e, n.read_noise_sigma), 3, n.sources.read_noise);
+    line("read noise", format!("{read_noise} e-"), source(n.sources.read_noise, args.read_noise));
     if let Some(PixelReadNoise { median_e, p99_e, max_e }) = PixelReadNoise::of(i) {
         let spread = format!("median {median_e:.2}, p99 {p99_e:.2}, largest {max_e:.1} e-");
         line("read noise by pixel", spread, "from the darks");
@@ -133,7 +138,7 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     if let Some(bend) = calibration.bend {
         line(
             "response at full scale",
-            format!("{:+.2} +- {:.2} %", -100.0 * bend.beta, 100.0 * bend.sigma),
+            format!("{} %", with_error_signed(-100.0 * bend.beta, 100.0 * bend.sigma, 2)),
             "off a straight line, by means and noise of the flats; part of the instrument",
         );
     }
@@ -150,8 +155,8 @@ fn table(args: &Args, calibration: &Calibration) -> String {
     match q.background {
         Some(b) => {
             let note = if b.is_seen() { "of the bead frames, removed" } else { "none that is significant" };
-            line("background", format!("{:.3} +- {:.3} e-", b.mean_e[0], b.sigma_e[0]), note);
-            let slope = |a: usize| format!("{:+.3} +- {:.3} e-", b.mean_e[a], b.sigma_e[a]);
+            line("background", format!("{} e-", with_error(b.mean_e[0], b.sigma_e[0], 3)), note);
+            let slope = |a: usize| format!("{} e-", with_error_signed(b.mean_e[a], b.sigma_e[a], 3));
             if b.is_seen() {
                 line("  along the rows", slope(1), "from the first to the last row");
                 line("  along the columns", slope(2), "from the first to the last column");

@@ -16,7 +16,7 @@ use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range, title};
 use ommatidia_report::{bytes, seconds};
 use ommatidia_session::artifact::Provenance;
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::{Session, stack};
+use ommatidia_session::{Session, stack, with_error};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -293,12 +293,14 @@ fn outcome(args: &Args, summary: &Summary, predictions: &[(&Path, PredictionFigu
 fn background_line(b: &FrameBackground) -> String {
     let ([level, row, col], sigma) = (b.mean_e, b.sigma_e[0]);
     if !b.added {
-        return format!("no background added: {level:.3} +- {sigma:.3} e- a pixel is too little to matter\n");
+        let found = with_error(level, sigma, 3);
+        return format!("no background added: {found} e- a pixel is too little to matter\n");
     }
     format!(
-        "background of the scene frames, fitted and added to the prediction: {level:.2} +- {sigma:.2} e- a pixel \
+        "background of the scene frames, fitted and added to the prediction: {} e- a pixel \
          ({row:+.2} e- from the first to the last row, {col:+.2} e- from the first to the last column); without it \
          NRMSE {:.2} %, chi2/ndf {:.3}\n",
+        with_error(level, sigma, 2),
         100.0 * b.nrmse_without,
         b.chi2_ndf_without
     )

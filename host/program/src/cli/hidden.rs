@@ -2,6 +2,7 @@
 
 use ommatidia_closing::{Account, Closing, Effect, Value, account_path};
 use ommatidia_session::rng::stream;
+use ommatidia_session::with_error;
 use rand::Rng;
 use serde_json::{Value as Json, json};
 use std::path::Path;
@@ -92,7 +93,7 @@ impl Hidden {
     fn words(&self, e: &Effect) -> String {
         let stands_out = |v: &&Value| if v.sigma > 0.0 { (v.value / v.sigma).abs() } else { 0.0 };
         let most = || e.params.iter().max_by(|a, b| stands_out(a).total_cmp(&stands_out(b)));
-        let value = |v: &Value| format!(": {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit);
+        let value = |v: &Value| format!(": {} = {} {}", v.name, with_error(v.value, v.sigma, 4), v.unit);
         let or = if e.ambiguity.is_empty() { String::new() } else { format!(" (or {})", e.ambiguity.join(", ")) };
         format!("{}{}{or}", e.id, self.own(e).or_else(most).map_or(String::new(), value).trim_end_matches(" 1"))
     }

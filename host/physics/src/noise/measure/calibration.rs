@@ -6,20 +6,24 @@ use crate::noise::model::NoiseModel;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
-/// Nominal values for a session that does not determine them.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// Values that a user gives for a session whose darks and flats do not determine them.
+///
+/// A value that was given is better than an estimate from a specimen or from bead frames. Darks and flats are better
+/// than a value that was given.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct NoiseConfig {
-    /// Gain if the session does not determine it, DN per electron.
-    pub nominal_gain_dn_per_e: f64,
-    /// Read noise if the session does not determine it, electrons rms.
-    pub nominal_read_noise_e: f64,
+    /// Gain, DN per electron. None: estimated where that is possible, else [`NoiseConfig::GAIN_DN_PER_E`].
+    pub nominal_gain_dn_per_e: Option<f64>,
+    /// Read noise, electrons rms. None: estimated where that is possible, else [`NoiseConfig::READ_NOISE_E`].
+    pub nominal_read_noise_e: Option<f64>,
 }
 
-impl Default for NoiseConfig {
-    fn default() -> Self {
-        Self { nominal_gain_dn_per_e: 1.0, nominal_read_noise_e: 2.0 }
-    }
+impl NoiseConfig {
+    /// Gain of a session that does not show it, where none is given, DN per electron.
+    pub const GAIN_DN_PER_E: f64 = 1.0;
+    /// Read noise of a session that does not show it, where none is given, electrons rms.
+    pub const READ_NOISE_E: f64 = 2.0;
 }
 
 /// A value and its standard error.
@@ -27,6 +31,13 @@ impl Default for NoiseConfig {
 pub(super) struct Estimate {
     pub value: f64,
     pub sigma: f64,
+}
+
+impl Estimate {
+    /// Whether a value that was given is the same within three standard errors, or 2 %: what agrees needs no word.
+    pub fn agrees_with(&self, given: f64) -> bool {
+        (given - self.value).abs() <= (3.0 * self.sigma).max(0.02 * self.value)
+    }
 }
 
 /// Errors of the pixel maps of a sensor: rms difference between a map and the true pattern; 0 if there is no map.

@@ -1,7 +1,7 @@
 //! Warnings and errors of noise measurements.
 
 use crate::linalg::NotConverged;
-use ommatidia_session::SessionError;
+use ommatidia_session::{SessionError, with_error};
 use thiserror::Error;
 
 /// A value that the session does not determine, and the consequences.
@@ -36,20 +36,24 @@ pub enum NoiseNote {
     OneDark,
     /// No flats that determine the gain.
     #[error(
-        "the gain is nominal, {gain_dn_per_e} DN/e- ({reason}): light in electrons, simulated noise and chi2 \
-         scale with it; geometry, PSFs and predictions in DN do not depend on it. Measure flats at several light \
-         levels, with two frames or more each, or set --gain"
+        "the gain, {gain_dn_per_e} DN/e-, is {} ({reason}): light in electrons, simulated noise and chi2 scale with it; \
+         geometry, PSFs and predictions in DN do not depend on it. {}",
+        if *given { "the one that was given" } else { "nominal" },
+        measure("flats at several light levels, with two frames or more each", (!given).then_some("--gain"))
     )]
     NominalGain {
         /// The value in use.
         gain_dn_per_e: f64,
+        /// Whether the user gave it.
+        given: bool,
         /// Why the session does not determine the gain.
         reason: &'static str,
     },
     /// A gain was given, and the flats determine it.
     #[error(
-        "the gain that was given, {given_dn_per_e} DN/e-, is not used: the flats of this session show {gain_dn_per_e:.4} \
-         +- {sigma:.4} DN/e-. Where the flats are wrong, take them out of session.toml"
+        "the gain that was given, {given_dn_per_e} DN/e-, is not used: the flats of this session show {} DN/e-. Where \
+         the flats are wrong, take them out of session.toml",
+        with_error(*gain_dn_per_e, *sigma, 4)
     )]
     GivenGain {
         /// The value that was given.
@@ -76,9 +80,9 @@ pub enum NoiseNote {
     },
     /// Gain from a video.
     #[error(
-        "the gain, {gain_dn_per_e:.3} +- {sigma:.3} DN/e-, is estimated from differences between the scenes' \
-         frames (there are no flats) and assumes a nearly still specimen. Measure flats at several light levels, \
-         with two frames or more each, or set --gain"
+        "the gain, {} DN/e-, is estimated from differences between the scenes' frames (there are no flats) and assumes \
+         a nearly still specimen. Measure flats at several light levels, with two frames or more each, or set --gain",
+        with_error(*gain_dn_per_e, *sigma, 3)
     )]
     GainOfVideo {
         /// The value in use.
@@ -88,19 +92,49 @@ pub enum NoiseNote {
     },
     /// No frames that determine the read noise.
     #[error(
-        "the read noise is nominal, {read_noise_e} e-: simulated noise in dark regions and the weights of faint \
-         light depend on it. Measure two dark frames or more, or set --read-noise"
+        "the read noise, {read_noise_e} e-, is {}: simulated noise in dark regions and the weights of faint light depend \
+         on it. {}",
+        if *given { "the one that was given" } else { "nominal" },
+        measure("two dark frames or more", (!given).then_some("--read-noise"))
     )]
     NominalReadNoise {
         /// The value in use.
         read_noise_e: f64,
+        /// Whether the user gave it.
+        given: bool,
+    },
+    /// A read noise was given, and darks or flats determine it.
+    #[error(
+        "the read noise that was given, {given_e} e-, is not used: the {frames} of this session show {} e-. Where the \
+         {frames} are wrong, take them out of session.toml",
+        with_error(*read_noise_e, *sigma, 3)
+    )]
+    GivenReadNoise {
+        /// The value that was given.
+        given_e: f64,
+        /// The value in use.
+        read_noise_e: f64,
+        /// Its standard error.
+        sigma: f64,
+        /// The frames that show it.
+        frames: &'static str,
     },
     /// Read noise measured in DN only.
-    #[error("the read noise, {read_noise_dn:.3} DN, is measured; its value in electrons depends on the nominal gain")]
+    #[error(
+        "the read noise, {read_noise_dn:.3} DN, is measured; its value in electrons depends on the gain, which is not"
+    )]
     ReadNoiseInDn {
         /// Read noise, DN rms.
         read_noise_dn: f64,
     },
+}
+
+/// What to measure, or to set where it was not given.
+fn measure(what: &str, option: Option<&str>) -> String {
+    match option {
+        Some(option) => format!("Measure {what}, or set {option}"),
+        None => format!("Measure {what}, to know it"),
+    }
 }
 
 /// Why the noise of a session cannot be measured.

@@ -41,7 +41,7 @@ pub fn measure_noise(
     for (field, found) in
         [("nominal_gain_dn_per_e", config.nominal_gain_dn_per_e), ("nominal_read_noise_e", config.nominal_read_noise_e)]
     {
-        if !(found.is_finite() && found > 0.0) {
+        if let Some(found) = found.filter(|v| !(v.is_finite() && *v > 0.0)) {
             return Err(NoiseError::Nominal { field, found });
         }
     }
@@ -75,11 +75,9 @@ pub fn measure_noise(
         }
     };
     let mut transfer = Transfer::fit(&levels, dark_level, bend);
-    // A gain set by the user is better than an estimate from a specimen.
-    let given = config.nominal_gain_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e;
     let mut of_video = false;
     if transfer.is_err()
-        && !given
+        && config.nominal_gain_dn_per_e.is_none()
         && let Some(found) = video::transfer(session, black, saturation_dn)?
     {
         notes.push(NoiseNote::GainOfVideo { gain_dn_per_e: found.slope, sigma: found.slope_sigma });
@@ -92,7 +90,7 @@ pub fn measure_noise(
         sources.gain = Source::Inferred;
     }
     let read_noise = read_noise(
-        ReadNoise { dark: dark_level, transfer: transfer.as_ref().ok(), background, gain },
+        ReadNoise { dark: dark_level, transfer: transfer.as_ref().ok(), of_video, background, gain },
         config,
         &mut sources,
         &mut notes,
@@ -135,30 +133,32 @@ pub(super) fn gain(
     match transfer {
         Ok(t) if t.slope > 3.0 * t.slope_sigma => {
             sources.gain = Source::Measured;
-            let (given_dn_per_e, sigma) = (config.nominal_gain_dn_per_e, t.slope_sigma);
-            // What agrees needs no word.
-            let agrees = (given_dn_per_e - t.slope).abs() <= (3.0 * sigma).max(0.02 * t.slope);
-            if given_dn_per_e != NoiseConfig::default().nominal_gain_dn_per_e && !agrees {
-                notes.push(NoiseNote::GivenGain { given_dn_per_e, gain_dn_per_e: t.slope, sigma });
+            let found = Estimate { value: t.slope, sigma: t.slope_sigma };
+            if let Some(given_dn_per_e) = config.nominal_gain_dn_per_e.filter(|given| !found.agrees_with(*given)) {
+                notes.push(NoiseNote::GivenGain { given_dn_per_e, gain_dn_per_e: found.value, sigma: found.sigma });
             }
-            Ok(Estimate { value: t.slope, sigma: t.slope_sigma })
+            Ok(found)
         }
         Ok(t) => {
             let path = session.stacks_of(Role::Flat).next().map(Stack::path).unwrap_or_default();
             Err(NoiseError::Slope { path, slope: t.slope, sigma: t.slope_sigma })
         }
         Err(reason) => {
-            let gain_dn_per_e = config.nominal_gain_dn_per_e;
-            notes.push(NoiseNote::NominalGain { gain_dn_per_e, reason });
+            let given = config.nominal_gain_dn_per_e;
+            let gain_dn_per_e = given.unwrap_or(NoiseConfig::GAIN_DN_PER_E);
+            notes.push(NoiseNote::NominalGain { gain_dn_per_e, reason, given: given.is_some() });
             Ok(Estimate { value: gain_dn_per_e, sigma: 0.0 })
         }
     }
 }
 
-/// Sources of the read noise, best first: darks, the photon transfer without light, the dark parts of bead frames.
+/// Sources of the read noise, best first: darks, the photon transfer without light, the dark parts of bead frames. A
+/// value that was given comes before those of a video and of bead frames, which show a specimen or stray light as well.
 struct ReadNoise<'a> {
     dark: Option<Summary>,
     transfer: Option<&'a Transfer>,
+    /// Whether the photon transfer is that of a video.
+    of_video: bool,
     background: Option<Background>,
     /// Gain, DN per electron.
     gain: Estimate,
@@ -174,11 +174,15 @@ fn read_noise(
     let rounded = from.dark.map(|d| (d.variance, d.sigma));
     let fitted = from.transfer.map(|t| (t.intercept + ROUNDING_DN2, t.intercept_sigma));
     let seen = from.background.map(|b| (b.variance, 0.0));
-    let (variance, sigma) = rounded.or(fitted).or(seen).unwrap_or((0.0, 0.0));
+    let given = config.nominal_read_noise_e;
+    let of_sensor = rounded.or(fitted.filter(|_| !from.of_video));
+    let found = if given.is_some() { of_sensor } else { of_sensor.or(fitted).or(seen) };
+    let (variance, sigma) = found.unwrap_or((0.0, 0.0));
     let read_dn2 = variance - ROUNDING_DN2;
     if read_dn2 <= 0.0 {
-        notes.push(NoiseNote::NominalReadNoise { read_noise_e: config.nominal_read_noise_e });
-        return Estimate { value: config.nominal_read_noise_e, sigma: 0.0 };
+        let read_noise_e = given.unwrap_or(NoiseConfig::READ_NOISE_E);
+        notes.push(NoiseNote::NominalReadNoise { read_noise_e, given: given.is_some() });
+        return Estimate { value: read_noise_e, sigma: 0.0 };
     }
     let measured = from.dark.is_some() && sources.gain == Source::Measured;
     sources.read_noise = if measured { Source::Measured } else { Source::Inferred };
@@ -187,7 +191,12 @@ fn read_noise(
     }
     let gain = from.gain;
     let relative = (sigma / (2.0 * read_dn2)).hypot(gain.sigma / gain.value);
-    Estimate { value: read_dn2.sqrt() / gain.value, sigma: relative * read_dn2.sqrt() / gain.value }
+    let found = Estimate { value: read_dn2.sqrt() / gain.value, sigma: relative * read_dn2.sqrt() / gain.value };
+    if let Some(given_e) = given.filter(|given| !found.agrees_with(*given)) {
+        let frames = if from.dark.is_some() { "darks" } else { "flats" };
+        notes.push(NoiseNote::GivenReadNoise { given_e, read_noise_e: found.value, sigma: found.sigma, frames });
+    }
+    found
 }
 
 /// Black level, offsets and dark variance, on the exposure with most dark frames; `None` without darks.

@@ -3,16 +3,85 @@
 use super::session::gain;
 use super::transfer::Transfer;
 use super::*;
+use crate::noise::draw::draw_electrons;
 use crate::noise::model::{Source, Sources};
 use crate::noise::stats::Summary;
+use ndarray::Array2;
 use ommatidia_model::testing::Testbed;
-use ommatidia_session::Session;
+use ommatidia_session::{Existing, Role, SampleType, Session, SessionWriter, StackEntry, StackSpec, rng};
 
 fn measured(bed: &Testbed) -> NoiseCalibration {
+    measured_with(bed, NoiseConfig::default())
+}
+
+fn measured_with(bed: &Testbed, config: NoiseConfig) -> NoiseCalibration {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session");
     Testbed { scan: 2, scenes: 0, ..bed.clone() }.write(&path);
-    measure_noise(&Session::open(&path).unwrap(), &NoiseConfig::default(), || {}).unwrap()
+    measure_noise(&Session::open(&path).unwrap(), &config, || {}).unwrap()
+}
+
+/// The notes as a user reads them.
+fn texts(found: &NoiseCalibration) -> String {
+    found.notes.iter().map(|note| format!("{note}\n")).collect()
+}
+
+fn given(gain_dn_per_e: Option<f64>, read_noise_e: Option<f64>) -> NoiseConfig {
+    NoiseConfig { nominal_gain_dn_per_e: gain_dn_per_e, nominal_read_noise_e: read_noise_e }
+}
+
+/// A video of a specimen that keeps still, at a gain of 0.4 and a read noise of 2 e-, and nothing else.
+fn video(config: NoiseConfig) -> NoiseCalibration {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("session");
+    let mut manifest = Testbed::new().manifest;
+    (manifest.sensor.rows, manifest.sensor.cols) = (90, 90);
+    let mut writer = SessionWriter::create(&path, &manifest, Existing::Keep).unwrap();
+    let spec = StackSpec { frames: 72, rows: 90, cols: 90, samples: SampleType::U16, pixel_um: None };
+    let mut frames = writer.frames("scene.npy", spec).unwrap();
+    for k in 0..72 {
+        let light = |(r, c): (usize, usize)| 15.0 + 400.0 * (((r * 7 + c * 3) % 101) as f32 / 100.0).powi(3);
+        let mut frame = Array2::from_shape_fn((90, 90), light);
+        draw_electrons(frame.as_slice_mut().unwrap(), 2.0, &mut rng::stream(3, "still", k));
+        frames.push(frame.mapv(|e| (100.0 + 0.4 * e).round()).view()).unwrap();
+    }
+    frames.finish().unwrap();
+    writer.add(StackEntry::plain(Role::Scene, "scene.npy", 10.0));
+    writer.finish().unwrap();
+    measure_noise(&Session::open(&path).unwrap(), &config, || {}).unwrap()
+}
+
+#[test]
+fn a_value_that_was_given_comes_before_an_estimate_from_a_video() {
+    let none = video(given(None, None));
+    assert!((none.model.gain_dn_per_e / 0.4 - 1.0).abs() < 0.15, "{:?}", none.model);
+    assert!(texts(&none).contains("or set --gain"), "{}", texts(&none));
+    // Also where it is the value that would be used without it.
+    for (gain, read_noise) in [(1.0, 2.0), (0.7, 3.5)] {
+        let both = video(given(Some(gain), Some(read_noise)));
+        assert_eq!((both.model.gain_dn_per_e, both.model.read_noise_e), (gain, read_noise));
+        assert!(!texts(&both).contains("--"), "{}", texts(&both));
+    }
+    let alone = video(given(None, Some(7.0)));
+    assert_eq!(alone.model.read_noise_e, 7.0);
+    assert_eq!(alone.model.gain_dn_per_e, none.model.gain_dn_per_e);
+    assert!(!texts(&alone).contains("--read-noise"), "{}", texts(&alone));
+}
+
+#[test]
+fn darks_and_flats_decide_and_a_note_names_the_value_that_is_not_used() {
+    let found = measured_with(&Testbed::new(), given(Some(1.0), Some(7.0)));
+    assert!((found.model.gain_dn_per_e / 0.4 - 1.0).abs() < 0.02, "{:?}", found.model);
+    assert!((found.model.read_noise_e / 2.0 - 1.0).abs() < 0.05, "{:?}", found.model);
+    let text = texts(&found);
+    assert!(text.contains("the gain that was given, 1 DN/e-, is not used: the flats"), "{text}");
+    assert!(text.contains("the read noise that was given, 7 e-, is not used: the darks"), "{text}");
+    assert!(texts(&measured_with(&Testbed::new(), given(Some(0.4), Some(2.0)))).is_empty());
+    let flats = measured_with(&Testbed { dark_frames: 0, ..Testbed::new() }, given(None, Some(7.0)));
+    assert!(texts(&flats).contains("the flats of this session show"), "{}", texts(&flats));
+    // Bead frames hold stray light as well: they give way.
+    let beads = Testbed { dark_frames: 0, flat_levels_e: Vec::new(), ..Testbed::new() };
+    assert_eq!(measured_with(&beads, given(None, Some(3.0))).model.read_noise_e, 3.0);
 }
 
 #[test]
