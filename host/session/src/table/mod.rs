@@ -2,14 +2,17 @@
 
 mod columns;
 mod grid;
+mod positions;
 
 pub(crate) use grid::Grid;
+pub(crate) use positions::{beads_inside, pixels_to_um};
 
 use crate::error::SessionError;
 use crate::manifest::ObjectGrid;
 use columns::{Meaning, Unit, format_name, meanings};
 pub(crate) use columns::{has_positions, time_column};
 pub(crate) use grid::Row;
+use positions::InPixels;
 use std::collections::BTreeMap;
 use std::path::Path;
 
@@ -135,63 +138,8 @@ pub(crate) fn read(path: &Path, wanted: &Wanted<'_>) -> Result<(Vec<FrameInfo>, 
         }
     }
     let mut infos: Vec<FrameInfo> = sorted.into_iter().flatten().collect();
-    in_micrometres(path, &columns, wanted.object, &mut infos, &mut notes)?;
+    table.in_micrometres(&columns, wanted, &mut infos, &mut notes)?;
     Ok((FrameInfo::travelled(infos), notes))
-}
-
-/// Converts the columns in object pixels, if there are any.
-fn in_micrometres(
-    path: &Path,
-    columns: &[(usize, Meaning, Unit)],
-    object: &ObjectGrid,
-    infos: &mut [FrameInfo],
-    notes: &mut Vec<String>,
-) -> Result<(), SessionError> {
-    let pixels = |meaning| columns.iter().any(|(_, m, u)| *m == meaning && *u == Unit::ObjectPixel);
-    match (pixels(Meaning::X), pixels(Meaning::Y)) {
-        (false, false) => Ok(()),
-        (true, true) => pixels_to_um(path, object, infos, notes),
-        _ => {
-            let expected = "x and y in the same unit";
-            let remedy = "give both in micrometres, in columns x_um and y_um";
-            Err(SessionError::value(path, "columns of positions", expected, "one of them in pixels", remedy))
-        }
-    }
-}
-
-/// Converts positions in object pixels. They are counted from the centre of the grid where one is negative, and from
-/// its first pixel where they reach beyond its half.
-///
-/// # Errors
-/// Both, or neither, is the case.
-pub(crate) fn pixels_to_um(
-    path: &Path,
-    object: &ObjectGrid,
-    infos: &mut [FrameInfo],
-    notes: &mut Vec<String>,
-) -> Result<(), SessionError> {
-    let half = |n: usize| (n as f64 - 1.0) / 2.0;
-    let (x_half, y_half) = (half(object.cols), half(object.rows));
-    let negative = infos.iter().any(|i| i.x_um < 0.0 || i.y_um < 0.0);
-    let beyond = infos.iter().any(|i| i.x_um > x_half + 0.5 || i.y_um > y_half + 0.5);
-    let origin = match (negative, beyond) {
-        (true, false) => "the centre of the object grid",
-        (false, true) => "the first object pixel",
-        _ => {
-            let (expected, found) =
-                ("positions counted from the centre or from the first pixel", "either may be meant");
-            let remedy = "give micrometres from the centre of the field, in columns x_um and y_um";
-            return Err(SessionError::value(path, "columns in pixels", expected, found, remedy));
-        }
-    };
-    let from = |half: f64| if beyond { half } else { 0.0 };
-    for info in infos {
-        info.x_um = (info.x_um - from(x_half)) * object.pixel_um;
-        info.y_um = (info.y_um - from(y_half)) * object.pixel_um;
-    }
-    let of = object.pixel_um;
-    notes.push(format!("{}: pixels are taken as object pixels of {of} um, counted from {origin}", path.display()));
-    Ok(())
 }
 
 /// An open table of a stack.
@@ -217,6 +165,32 @@ impl Table<'_> {
             found: format!("columns {}", self.grid.names.join(", ")),
             remedy,
         })
+    }
+
+    /// Converts the columns in object pixels, if there are any. Positions that are needed must lie on the object grid.
+    fn in_micrometres(
+        &self,
+        columns: &[(usize, Meaning, Unit)],
+        wanted: &Wanted<'_>,
+        infos: &mut [FrameInfo],
+        notes: &mut Vec<String>,
+    ) -> Result<(), SessionError> {
+        let pixels = |meaning| {
+            let found = columns.iter().find(|(_, m, u)| *m == meaning && *u == Unit::ObjectPixel);
+            found.map(|(i, ..)| format!("column `{}`", self.grid.names[*i]))
+        };
+        match (pixels(Meaning::X), pixels(Meaning::Y)) {
+            (None, None) => Ok(()),
+            (Some(x), Some(y)) => {
+                let of = InPixels { path: self.path, object: wanted.object, names: [y, x], inside: wanted.positions };
+                of.to_um(infos, notes)
+            }
+            _ => {
+                let expected = "x and y in the same unit";
+                let remedy = "give both in micrometres, in columns x_um and y_um";
+                Err(SessionError::value(self.path, "columns of positions", expected, "one of them in pixels", remedy))
+            }
+        }
     }
 
     /// What is not read as the session format has it.
