@@ -34,7 +34,7 @@ pub enum ReportError {
     /// The file is of a kind that a report does not show.
     #[error(
         "{path}: expected an instrument, checkpoint, network file, evaluation, account of a closed loop, session \
-         folder, recording (.npy, .tif) or the JSON that a command printed, found {found}"
+         folder, recording or JSON, found {found}"
     )]
     Kind {
         /// The file.

@@ -20,6 +20,7 @@ mod closing;
 mod colour;
 mod device;
 mod error;
+mod json;
 mod look;
 mod optics;
 mod page;
@@ -37,6 +38,7 @@ mod training;
 pub use closing::smoothed;
 pub use colour::{ABSENT, ColourMap};
 pub use error::ReportError;
+pub use json::json_name;
 pub use look::Look;
 pub use page::STYLE;
 pub use picture::{Scale, Tone, number};
@@ -46,6 +48,7 @@ pub use scenes::{bytes, seconds};
 use closing::Asked;
 use maud::{Markup, html};
 use ommatidia_closing::account::{self, Account};
+use ommatidia_model::dataset::PLAN_FILE;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_network::evaluate::Evaluation;
 use ommatidia_network::evaluate::receptive::{self, ReceptiveFields};
@@ -88,7 +91,7 @@ enum Content {
 }
 
 /// Renders files to one HTML page: instruments, checkpoints, evaluations, accounts of closed loops, network files,
-/// session folders, recordings of frames or objects (.npy, .tif), and the JSON that commands print.
+/// session folders, recordings of frames or objects (files and folders), and JSON.
 ///
 /// Chapters appear in a fixed order, whatever the order of `paths`. Pictures and styles are inside the page.
 ///
@@ -235,6 +238,9 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
             },
         ),
         FileKind::Stack => (Value::Null, Content::Recording(Box::new(Recording::read(path)?))),
+        FileKind::Folder if !path.join(PLAN_FILE).exists() => {
+            (Value::Null, Content::Recording(Box::new(Recording::read(path)?)))
+        }
         FileKind::Session => (Value::Null, Content::Session(Box::new(Session::open(path)?))),
         FileKind::Blob => {
             let bytes = read()?;
@@ -348,7 +354,10 @@ fn describe(piece: &Piece) -> String {
         Content::Ablation => "ablations",
         Content::Receptive(_) => "receptive fields",
         Content::Recording(_) => "recording",
-        Content::Other => piece.json["kind"].as_str().unwrap_or("figures of a command"),
+        Content::Other => match (json_name(&piece.json), piece.json["kind"].as_str()) {
+            (Some(name), _) => return format!("— {name}{written}"),
+            (None, kind) => kind.unwrap_or("JSON of an unknown kind"),
+        },
     };
     format!("— {kind}{written}")
 }

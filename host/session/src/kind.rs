@@ -1,6 +1,8 @@
 //! Kinds of files, recognised by their content.
 
+use crate::MANIFEST;
 use crate::artifact::{self, ArtifactError};
+use crate::signature::is_tensors;
 use std::io::Read;
 use std::path::Path;
 
@@ -18,14 +20,14 @@ impl FileKind {
         let mut start = Vec::new();
         let read = std::fs::File::open(path).and_then(|f| f.take(16).read_to_end(&mut start));
         read.map_err(|source| ArtifactError::Io { path: path.into(), source })?;
-        Ok(match (start.as_slice(), Self::by_start(&start)) {
-            (_, Some(kind)) => kind,
-            // A safetensors file: eight bytes of length, then JSON.
-            ([_, _, _, _, _, _, _, _, b'{', ..], None) => match artifact::find_header(path)? {
+        Ok(match Self::by_start(&start) {
+            Some(kind) => kind,
+            None if is_tensors(&start) => match artifact::find_header(path)? {
                 Some(header) => Self::Artifact(header.get("kind").and_then(|k| k.as_str()).unwrap_or("").into()),
                 None => Self::Tensors,
             },
-            _ => Self::Unknown,
+            None if path.file_name().is_some_and(|name| name == MANIFEST) => Self::Manifest,
+            None => Self::Unknown,
         })
     }
 }
@@ -49,13 +51,19 @@ mod tests {
         assert_eq!(file("c", b"II*\0"), FileKind::Stack);
         assert_eq!(file("d", b" {\"bit_exact\": true}"), FileKind::Json);
         assert_eq!(file("e", b"hello"), FileKind::Unknown);
+        // Byte 8 is that of a safetensors file, too.
+        assert_eq!(file("i", b"{\"body\":{\"array\": 1}}"), FileKind::Json);
+        assert_eq!(file("j", b"[\n  {\n    \"source\": 1}]"), FileKind::Json);
+        assert_eq!((file("k", b"[]"), file("l", b"[[1, 2]]")), (FileKind::Json, FileKind::Json));
+        assert_eq!((file("m", b"[sensor]\n"), file("n", b"[[stack]]\n")), (FileKind::Unknown, FileKind::Unknown));
+        assert_eq!(file("o", b"noise 12{ and more"), FileKind::Unknown);
         assert_eq!(file("g", b"<!DOCTYPE html><p>"), FileKind::Page);
         let mut foreign = 16u64.to_le_bytes().to_vec();
         foreign.extend(b"{}              ");
         assert_eq!(file("h", &foreign), FileKind::Tensors);
         assert_eq!(file("f", b""), FileKind::Unknown);
         assert_eq!(FileKind::of(folder.path()).unwrap(), FileKind::Folder);
-        file("session.toml", b"format = 1");
+        assert_eq!(file("session.toml", b"format = 1"), FileKind::Manifest);
         assert_eq!(FileKind::of(folder.path()).unwrap(), FileKind::Session);
         let path = folder.path().join("x.safetensors");
         let header =

@@ -5,6 +5,7 @@ use super::import::{self, Losses};
 use super::manifest::{MANIFEST, Manifest, Role, StackEntry};
 use super::stack::{ComputedFrames, FrameReader, SampleType};
 use super::table::{self, FrameInfo, Wanted};
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -49,11 +50,13 @@ impl Session {
     /// lacks a column or holds an impossible value; or a bead lies outside the object grid.
     pub fn open(dir: impl AsRef<Path>) -> Result<Self, SessionError> {
         let dir = dir.as_ref();
-        if dir.is_file() {
-            let remedy = "name the folder that holds session.toml";
-            return Err(SessionError::value(dir, "session", "a folder", "a file", remedy));
-        }
+        let folder = std::fs::metadata(dir).map_err(|e| SessionError::io(dir, e))?.is_dir();
         let path = dir.join(MANIFEST);
+        if !folder || path.symlink_metadata().is_err_and(|e| e.kind() == ErrorKind::NotFound) {
+            let found = if folder { "a folder without it" } else { "a file" };
+            let remedy = "name the folder that holds session.toml; `ommatidia import` makes one of a recording";
+            return Err(SessionError::value(dir, "session", "a folder with a session.toml", found, remedy));
+        }
         let text = std::fs::read_to_string(&path).map_err(|e| SessionError::io(&path, e))?;
         let manifest = Manifest::parse(&path, &text)?;
         let stacks = manifest.stacks.iter().map(|entry| Stack::open(dir, &path, &manifest, entry));
@@ -162,7 +165,7 @@ impl Stack {
             }
         };
         if let (Role::Bead, Some(name)) = (entry.role, &entry.table) {
-            beads_inside(&dir.join(name), manifest, &info)?;
+            table::beads_inside(&dir.join(name), &manifest.object, &info)?;
         }
         let object = [frames.len(), manifest.object.rows, manifest.object.cols];
         for (name, shape) in [(&entry.truth, object), (&entry.expected, sensor)] {
@@ -310,25 +313,4 @@ fn companion(path: &Path, shape: [usize; 3]) -> Result<(), SessionError> {
         return Err(SessionError::SampleType { path: path.into(), expected: "float32", found });
     }
     expect_shape(&frames, shape, "write one entry for each frame, on the grid that the manifest states")
-}
-
-/// Rejects bead positions outside the object grid; the outer edges of its pixels still count as inside.
-pub(crate) fn beads_inside(path: &Path, manifest: &Manifest, info: &[FrameInfo]) -> Result<(), SessionError> {
-    let object = &manifest.object;
-    for bead in info {
-        let [r, c] = object.pixel_of_um(bead.y_um, bead.x_um);
-        for (name, at, n, um) in [("y_um", r, object.rows, bead.y_um), ("x_um", c, object.cols, bead.x_um)] {
-            let edge = n as f64 / 2.0 * object.pixel_um;
-            if !(-0.5..=n as f64 - 0.5).contains(&at) {
-                return Err(SessionError::value(
-                    path,
-                    format!("column `{name}`, frame {}", bead.frame),
-                    format!("a position on the object grid, -{edge} to {edge} um"),
-                    um,
-                    "check the unit of the column, leave out beads outside the field, or enlarge [object]",
-                ));
-            }
-        }
-    }
-    Ok(())
 }

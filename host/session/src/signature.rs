@@ -14,9 +14,11 @@ pub enum FileKind {
     Blob,
     /// The folder of a measured session.
     Session,
+    /// The manifest of a session, by its name.
+    Manifest,
     /// A folder without a session.toml.
     Folder,
-    /// The output of a verb with `--json`.
+    /// JSON: the output of a verb with `--json`, or any other.
     Json,
     /// A stack of frames, .npy, .tif, .avi, .mp4 or .mat.
     Stack,
@@ -36,8 +38,9 @@ impl fmt::Display for FileKind {
             Self::Artifact(kind) => write!(f, "an artifact of kind `{kind}`"),
             Self::Blob => f.write_str("a network file (blob)"),
             Self::Session => f.write_str("a session folder"),
+            Self::Manifest => f.write_str("the manifest of a session; name its folder"),
             Self::Folder => f.write_str("a folder without a session.toml"),
-            Self::Json => f.write_str("a JSON object"),
+            Self::Json => f.write_str("JSON"),
             Self::Stack => f.write_str("a stack of frames"),
             Self::Page => f.write_str("an HTML page"),
             Self::Picture => f.write_str("a PNG picture"),
@@ -63,11 +66,29 @@ impl FileKind {
             s if s.starts_with(b"\x93NUMPY") || s.starts_with(b"II") || s.starts_with(b"MM") => Some(Self::Stack),
             [_, _, _, _, b'f', b't', b'y', b'p', ..] => Some(Self::Stack),
             [b'R', b'I', b'F', b'F', _, _, _, _, b'A', b'V', b'I', b' ', ..] => Some(Self::Stack),
-            [_, _, _, _, _, _, _, _, b'{', ..] => None,
-            s if s.trim_ascii_start().starts_with(b"{") => Some(Self::Json),
+            s if is_tensors(s) => None,
+            s if is_json(s) => Some(Self::Json),
             s if s.starts_with(b"\x89PNG") => Some(Self::Picture),
             s if s.to_ascii_lowercase().starts_with(b"<!doctype html") => Some(Self::Page),
             _ => None,
         }
+    }
+}
+
+/// Whether the first bytes may be those of a safetensors file: the length of its header, less than 4 GiB, and the header,
+/// which is JSON. No text has a zero byte.
+pub(crate) fn is_tensors(start: &[u8]) -> bool {
+    matches!(start, [_, _, _, _, 0, 0, 0, 0, b'{', ..])
+}
+
+/// Whether the first bytes are those of a JSON object, or of a JSON array. The first line of a TOML file may be
+/// `[table]` or `[[list]]`.
+fn is_json(start: &[u8]) -> bool {
+    let text = start.trim_ascii_start();
+    let inside = text.iter().find(|byte| !(byte.is_ascii_whitespace() || **byte == b'['));
+    match text.first() {
+        Some(b'{') => true,
+        Some(b'[') => matches!(inside, Some(b'{' | b'"' | b']' | b'-' | b'0'..=b'9')),
+        _ => false,
     }
 }

@@ -260,6 +260,27 @@ fn each_damage_to_a_session_has_its_error() {
     mentions(&csv("\n1,-2", "\n1,-inf"), &["line 3, column `x_um`", "`-inf` in `1,-inf,"]);
     mentions(&csv("\n1,-2", "\n1,9.0"), &["column `x_um`, frame 1", "on the object grid", "found 9"]);
     mentions(&csv("\n1,-2", "\n0,-2"), &["each frame once"]);
+    // The column, the value and the unit are those of the table.
+    let renamed = |from: [&str; 2], rows: [&str; 2]| {
+        let [head, rows] = [from.map(String::from), rows.map(String::from)];
+        damaged(move |s| {
+            let path = s.join("bead.csv");
+            let text = std::fs::read_to_string(&path).unwrap();
+            let names = text.lines().next().unwrap().replace("x_um", &head[0]).replace("y_um", &head[1]);
+            let tail = |line: &str| line.split(',').skip(3).map(|cell| format!(",{cell}")).collect::<String>();
+            let tails: Vec<String> = text.lines().skip(1).map(tail).collect();
+            std::fs::write(&path, format!("{names}\n0,{}{}\n1,{}{}\n", rows[0], tails[0], rows[1], tails[1])).unwrap();
+        })
+    };
+    let mm = renamed(["X (mm)", "Y (mm)"], ["0,0", "0.009,0"]);
+    mentions(&mm, &["column `X (mm)`, frame 1", "to 0.004 mm", "found 0.009 mm"]);
+    // The object has 3 rows and 2 columns.
+    let one = renamed(["x_px", "y_px"], ["1,1", "2,3"]);
+    mentions(&one, &["column `y_px`, frame 1", "-0.5 to 2.5 px", "found 3 px", "look counted from 1"]);
+    let far = renamed(["x_px", "y_px"], ["0,0", "1,9"]);
+    mentions(&far, &["column `y_px`, frame 1", "found 9 px", "enlarge [object]"]);
+    let centre = renamed(["x_px", "y_px"], ["0,-9", "0,0"]);
+    mentions(&centre, &["column `y_px`, frame 0", "-1.5 to 1.5 px", "found -9 px"]);
     mentions(&csv("\n1,-2", "\n5,-2"), &["frame 5"]);
     mentions(&csv(",10,", ",-10,"), &["column `exposure_ms`", "-10"]);
     mentions(

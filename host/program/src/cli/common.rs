@@ -4,6 +4,7 @@ use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use ommatidia_physics::sensor::{self, FrameRange};
+use ommatidia_session::kind::FileKind;
 use ommatidia_session::{MANIFEST, Session, causes};
 use std::io::{ErrorKind, IsTerminal, Write};
 use std::path::Path;
@@ -165,8 +166,9 @@ pub(super) fn warn(warnings: impl IntoIterator<Item = String>) -> Vec<String> {
 pub(super) fn any_session(path: &Path, seed: u64) -> anyhow::Result<Session> {
     anyhow::ensure!(
         path.file_name().is_none_or(|name| name != MANIFEST),
-        "{}: this is the manifest of a session; name its folder",
-        path.display()
+        "{}: this is {}",
+        path.display(),
+        FileKind::Manifest
     );
     let session = ommatidia_bench::open_session(path, seed)?;
     warn(session.notes());
@@ -229,6 +231,33 @@ impl Strict {
     /// They were, and the option is given: [`finish`] prints the outcome and gives the exit code.
     pub fn judge(self, lossy: bool, outcome: Outcome) -> anyhow::Result<Outcome> {
         if self.strict && lossy { Err(Lossy(outcome).into()) } else { Ok(outcome) }
+    }
+}
+
+/// Names the verb in the figures for programs, so that a file of them says what it is. Figures that name one already, and
+/// lists, stay as they are.
+pub(super) fn named(result: anyhow::Result<Outcome>, verb: &str) -> anyhow::Result<Outcome> {
+    let name = |json: &mut serde_json::Value| {
+        if let Some(fields) = json.as_object_mut() {
+            fields.entry("verb").or_insert_with(|| verb.into());
+        }
+    };
+    match result {
+        Ok(mut outcome) => {
+            name(&mut outcome.json);
+            Ok(outcome)
+        }
+        Err(error) => Err(match error.downcast::<Findings>().map_err(|other| other.downcast::<Lossy>()) {
+            Ok(mut findings) => {
+                name(&mut findings.json);
+                findings.into()
+            }
+            Err(Ok(mut lossy)) => {
+                name(&mut lossy.0.json);
+                lossy.into()
+            }
+            Err(Err(other)) => other,
+        }),
     }
 }
 

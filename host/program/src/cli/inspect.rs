@@ -8,7 +8,7 @@ use ommatidia_session::artifact;
 use ommatidia_session::import::{set_interval_s, times_of};
 use ommatidia_session::kind::FileKind;
 use ommatidia_session::stack::folder_of_recording;
-use ommatidia_session::{FrameReader, Session};
+use ommatidia_session::{FrameReader, Session, with_error};
 use ommatidia_shared::blob::Network;
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -35,14 +35,21 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         FileKind::Stack => of_stack(path)?,
         FileKind::Json => {
             let text = std::fs::read(path).with_context(|| path.display().to_string())?;
-            let figures: Value = serde_json::from_slice(&text).with_context(|| path.display().to_string())?;
-            json!({ "kind": "json", "figures": figures })
+            let figures: Value = serde_json::from_slice(&text)
+                .with_context(|| format!("{}: begins as JSON, but is damaged or cut short", path.display()))?;
+            let what = ommatidia_report::json_name(&figures).unwrap_or_else(|| "JSON of an unknown kind".into());
+            json!({ "kind": "json", "what": what, "figures": figures })
         }
         FileKind::Folder if path.join(PLAN_FILE).exists() => of_data_set(path)?,
-        FileKind::Folder if folder_of_recording(path).is_some() => of_stack(path)?,
-        found @ (FileKind::Folder | FileKind::Page | FileKind::Picture | FileKind::Tensors | FileKind::Unknown) => {
+        FileKind::Folder if folder_of_recording(path).is_some() || FrameReader::open(path).is_ok() => of_stack(path)?,
+        found @ (FileKind::Folder
+        | FileKind::Manifest
+        | FileKind::Page
+        | FileKind::Picture
+        | FileKind::Tensors
+        | FileKind::Unknown) => {
             bail!(
-                "{}: expected an artifact, a network file, a session, a data set or a stack, found {found}",
+                "{}: expected an artifact, a network file, a session, a data set, a stack or JSON, found {found}",
                 path.display()
             )
         }
@@ -57,6 +64,11 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
             .with_context(|| format!("{}: the account is damaged", path.display()))?;
         fields.insert("body".into(), summary(&closing));
     }
+    // Figures may be long: what they are stands first.
+    for name in ["kind", "what"].into_iter().filter(|_| shown["kind"] == "json") {
+        entry(&mut text, name, &shown[name].take(), 1);
+        shown.as_object_mut().map(|fields| fields.remove(name));
+    }
     list(&mut text, &shown, 1);
     Ok(Outcome { json, text })
 }
@@ -69,7 +81,7 @@ fn summary(c: &Closing) -> Value {
             stands_out(a).total_cmp(&stands_out(b))
         });
         let value =
-            most.map_or(String::new(), |v| format!(", {} = {:.4} +- {:.4} {}", v.name, v.value, v.sigma, v.unit));
+            most.map_or(String::new(), |v| format!(", {} = {} {}", v.name, with_error(v.value, v.sigma, 4), v.unit));
         format!("{} ({:.1} sigma){}", e.id, e.z, value.trim_end_matches(" 1"))
     };
     let strongest = |all: &[Dependence]| {
@@ -156,28 +168,39 @@ fn of_stack(path: &Path) -> anyhow::Result<Value> {
 
 /// Values of more than this many characters are cut short in the text; `--json` holds them whole.
 const WIDTH: usize = 96;
+/// So are lists of more than this many entries.
+const MOST: usize = 40;
 
-/// A JSON value as an indented list.
+/// The fields of a JSON value as an indented list.
 fn list(text: &mut String, value: &Value, depth: usize) {
     for (name, value) in value.as_object().into_iter().flatten() {
-        let indent = 2 * depth;
-        // Writing to a string cannot fail.
-        let _ = match value {
-            Value::Object(fields) if !fields.is_empty() => {
-                let _ = writeln!(text, "{:indent$}{name}:", "");
-                list(text, value, depth + 1);
-                Ok(())
-            }
-            Value::Array(items) if items.iter().any(Value::is_object) => {
-                let _ = writeln!(text, "{:indent$}{name}: {}", "", items.len());
-                for item in items.iter().take(40) {
-                    let _ = writeln!(text, "{:indent$}  {}", "", short(&line(item)));
-                }
-                Ok(())
-            }
-            other => writeln!(text, "{:indent$}{name}: {}", "", short(&line(other))),
-        };
+        entry(text, name, value, depth);
     }
+}
+
+/// A JSON value with its name: objects one field a line, objects in lists on a line each where they fit on one.
+fn entry(text: &mut String, name: &str, value: &Value, depth: usize) {
+    let indent = 2 * depth;
+    // Writing to a string cannot fail.
+    let _ = match value {
+        Value::Object(fields) if !fields.is_empty() => {
+            let _ = writeln!(text, "{:indent$}{name}:", "");
+            list(text, value, depth + 1);
+            Ok(())
+        }
+        Value::Array(items) if items.iter().any(Value::is_object) => {
+            let _ = writeln!(text, "{:indent$}{name}: {}", "", items.len());
+            for (i, item) in items.iter().take(MOST).enumerate() {
+                match line(item) {
+                    whole if whole.chars().count() > WIDTH => entry(text, &i.to_string(), item, depth + 1),
+                    whole => drop(writeln!(text, "{:indent$}  {whole}", "")),
+                }
+            }
+            let more = items.len().saturating_sub(MOST);
+            if more > 0 { writeln!(text, "{:indent$}  and {more} more", "") } else { Ok(()) }
+        }
+        other => writeln!(text, "{:indent$}{name}: {}", "", short(&line(other))),
+    };
 }
 
 /// A value on one line, without the quotes of JSON.
@@ -211,6 +234,19 @@ mod tests {
             "shape": [1] }] });
         list(&mut text, &value, 1);
         assert_eq!(text, "  body:\n    name: -\n    size: [2, 3]\n  kind: x\n  tensors: 1\n    name a, shape [1]\n");
+    }
+
+    #[test]
+    fn a_long_entry_of_a_list_is_shown_field_by_field() {
+        let mut text = String::new();
+        let long =
+            json!({ "assigned": "each file begins at its own row ".repeat(3).trim(), "torn": [{ "frame": 50 }] });
+        list(&mut text, &json!({ "recordings": [long, { "torn": [] }] }), 0);
+        assert!(text.starts_with("recordings: 2\n  0:\n    assigned: each file"), "{text}");
+        assert!(text.ends_with("    torn: 1\n      frame 50\n  torn []\n"), "{text}");
+        let mut text = String::new();
+        list(&mut text, &json!({ "all": vec![json!({ "a": 1 }); 42] }), 0);
+        assert!(text.ends_with("  a 1\n  and 2 more\n"), "{text}");
     }
 
     #[test]

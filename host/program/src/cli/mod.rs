@@ -36,7 +36,8 @@ pub use common::{Outcome, Run};
 
 use ommatidia_session::files::{self, Files};
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
+use std::ffi::OsString;
 
 /// From the optical bench to the chip beside the sensor: calibrate, simulate, train, quantize, reconstruct.
 #[derive(Debug, Parser)]
@@ -47,6 +48,9 @@ pub struct Cli {
     run: Run,
     #[command(subcommand)]
     verb: Verb,
+    /// The verb as it is typed, such as `device run`.
+    #[arg(skip)]
+    name: String,
 }
 
 /// The verbs; the first line of each is its description in `--help`.
@@ -156,8 +160,20 @@ enum Verb {
 impl Cli {
     /// Parses a command line and runs its verb under the given global options.
     fn execute(words: Vec<String>, run: Run) -> anyhow::Result<Outcome> {
-        let cli = Self::try_parse_from(words)?;
+        let cli = Self::parsed(words)?;
         Self { run, ..cli }.run()
+    }
+
+    /// Parses a command line, its first word the name of the program.
+    ///
+    /// # Errors
+    /// It is no command line of this program.
+    fn parsed(words: impl IntoIterator<Item = impl Into<OsString> + Clone>) -> Result<Self, clap::Error> {
+        let matches = Self::command().try_get_matches_from(words)?;
+        let inner = |matches: &ArgMatches| matches.subcommand().map(|(name, inner)| (name.to_string(), inner.clone()));
+        let names = std::iter::successors(inner(&matches), |(_, matches)| inner(matches)).map(|(name, _)| name);
+        let name = names.collect::<Vec<_>>().join(" ");
+        Ok(Self { name, ..Self::from_arg_matches(&matches).map_err(|e| e.format(&mut Self::command()))? })
     }
 
     /// What the verb reads and writes.
@@ -198,7 +214,7 @@ impl Cli {
         let files = self.files();
         let _locks = files.hold(run.force)?;
         let _advice = interrupt::advise(&files);
-        match &self.verb {
+        let result = match &self.verb {
             Verb::Demo(a) => demo::run(a, run, Self::execute),
             Verb::Bench(a) => bench::run(a, run),
             Verb::Import(a) => import::run(a, run),
@@ -227,14 +243,15 @@ impl Cli {
             Verb::Inspect(a) => inspect::run(a, run),
             Verb::Completions(a) => manual::completions(a, Self::command()),
             Verb::Man(a) => manual::man(a, Self::command()),
-        }
+        };
+        common::named(result, &self.name)
     }
 }
 
 /// Parses the command line, runs the verb, prints, and gives the exit code: 0 done, 1 failed, 2 usage, 3 done
 /// with frames lost (`--strict`).
 pub fn main() -> std::process::ExitCode {
-    let cli = Cli::try_parse().unwrap_or_else(|error| {
+    let cli = Cli::parsed(std::env::args_os()).unwrap_or_else(|error| {
         if error.use_stderr() && std::env::args().any(|word| word == "--json") {
             // If stdout is closed, the text on stderr and the exit code remain.
             let _ = common::print(format!("{}\n", common::json_error(error.to_string().trim(), &[])).as_bytes());
