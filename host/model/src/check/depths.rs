@@ -19,7 +19,9 @@ pub fn look(session: &Session, depths: &[Scan], seen: &mut ScanFindings) -> Vec<
             continue;
         }
         let outliers = positions::outliers(scan, &tried);
-        let whole = hypotheses::describe(&tried, scan, session).into_iter().map(|f| at_depth(f, scan.z_um(), &tried));
+        let whole = hypotheses::describe(&tried, scan, &outliers, session)
+            .into_iter()
+            .map(|f| at_depth(f, scan.z_um(), &tried));
         // What is wrong with the whole table in the same way at several depths is said once.
         let known = tried.best != Hypothesis::AS_IS && tried.best == seen.best;
         findings.extend(whole.filter(|f| f.severity > Severity::Ok && !known));
@@ -30,7 +32,7 @@ pub fn look(session: &Session, depths: &[Scan], seen: &mut ScanFindings) -> Vec<
     }
     seen.depths_um.sort_by(f64::total_cmp);
     findings.extend(depths.first().and_then(|first| judged(first, &seen.depths_um)));
-    let (read, all) = (depths.iter().map(|d| d.frames.len()).sum::<usize>(), depths[0].all_z_um.len());
+    let (read, all) = (depths[0].read, depths[0].all_z_um.len());
     if read < all {
         let text = format!(
             "{read} of {all} bead frames were looked at, evenly over the scan: a wrong position of another one was not \

@@ -19,6 +19,7 @@ use super::scan::{SUSPECT, Scan, Small, median, middle};
 use super::{Finding, Hypothesis, Outlier, Severity};
 use ndarray::Array2;
 use ommatidia_physics::linalg::least_squares;
+use ommatidia_session::with_error_signed;
 use serde::Serialize;
 
 /// Fewest frames from which a drift is estimated.
@@ -308,11 +309,11 @@ pub fn describe(drift: Option<&Drift>) -> Vec<Finding> {
         format!("drift by {total:.2} px from the first to the last bead frame")
     };
     let text = format!(
-        "the foci {motion}, beyond the positions in the table ({row:+.2} +- {:.2} px along the rows, {col:+.2} +- \
-         {:.2} px along the columns): stage or array moved during the scan, or the axes of the stage are not square \
-         or count differently. Let the stage settle and warm up, and scan again; scanning in random order keeps a \
-         drift from looking like distortion",
-        d.sigma_px[0], d.sigma_px[1]
+        "the foci {motion}, beyond the positions in the table ({} px along the rows, {} px along the columns): stage or \
+         array moved during the scan, or the axes of the stage are not square or count differently. Let the stage \
+         settle and warm up, and scan again; scanning in random order keeps a drift from looking like distortion",
+        with_error_signed(row, d.sigma_px[0], 2),
+        with_error_signed(col, d.sigma_px[1], 2)
     );
     vec![Finding::new("drift", Severity::Warning, text)]
 }

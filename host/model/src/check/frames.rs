@@ -1,8 +1,10 @@
-//! The values of frames: bit depth, saturation, black level, light levels, background, drift, and what is missing.
+//! The values of frames: bit depth, saturation, black level, light levels, background, and what is missing.
 
-use super::scan::{Scan, median, middle};
+use super::constant;
+use super::scan::{median, middle};
 use super::{Finding, Severity};
 use ndarray::Array2;
+use ommatidia_physics::sensor::constant_dn;
 use ommatidia_session::{Cut, FrameInfo, Role, Session, SessionError, Stack};
 
 /// Frames of a stack that are read, evenly spread.
@@ -11,8 +13,6 @@ const SAMPLED: usize = 24;
 const FEW: f64 = 1e-3;
 /// Spread of the light of flats of one declared level, relative, that a lamp does not explain.
 const ONE_LEVEL: f64 = 0.1;
-/// Change of the light of the beads over the scan that is worth a remark.
-const DRIFT: f64 = 0.1;
 
 /// Figures of one frame, DN.
 #[derive(Clone, Copy, Debug)]
@@ -32,10 +32,14 @@ pub struct StackLevels {
     pub file: String,
     /// Its role.
     pub role: Role,
-    /// Number of frames.
+    /// Number of frames whose data are whole.
     pub count: usize,
-    /// Frames that were read.
+    /// Frames that were sampled. Constant ones are left out, except of darks: a black level may lie below 0 DN.
     pub frames: Vec<FrameLevel>,
+    /// Frames that were looked at for constant ones.
+    pub looked: usize,
+    /// Frames whose pixels all have one value below saturation: index, and the value, DN.
+    pub constant: Vec<(usize, f32)>,
     /// Smallest and largest value, DN.
     pub range: [f32; 2],
     /// Share of the pixels at or above the highest code that the manifest allows.
@@ -46,15 +50,24 @@ pub struct StackLevels {
     pub step: u32,
 }
 
+impl StackLevels {
+    /// Whether all of its frames that were looked at are constant.
+    pub fn is_constant(&self) -> bool {
+        self.constant.len() == self.looked
+    }
+}
+
 /// Reads a sample of all stacks and looks at the values.
 ///
 /// # Errors
 /// A frame cannot be read.
 pub fn look(session: &Session, step: &mut dyn FnMut()) -> Result<(Vec<Finding>, Vec<StackLevels>), SessionError> {
     let top = session.manifest().sensor.saturation_dn() as f32;
-    let levels = session.stacks().iter().map(|s| read(s, top, step)).collect::<Result<Vec<_>, _>>()?;
+    let whole = !session.is_computed();
+    let levels = session.stacks().iter().map(|s| read(s, top, whole, step)).collect::<Result<Vec<_>, _>>()?;
     let mut findings = Vec::new();
     for level in &levels {
+        findings.extend(constant::describe(level));
         findings.extend(codes(level, session));
     }
     findings.extend(black(&levels, session.manifest().sensor.saturation_dn()));
@@ -62,13 +75,16 @@ pub fn look(session: &Session, step: &mut dyn FnMut()) -> Result<(Vec<Finding>, 
     Ok((findings, levels))
 }
 
-fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, SessionError> {
+/// Reads a sample of a stack. All of its frames are looked at for constant ones, if that is wanted and it is not too long.
+fn read(stack: &Stack, top: f32, whole: bool, step: &mut dyn FnMut()) -> Result<StackLevels, SessionError> {
     let mut reader = stack.frames()?;
     let mut found = StackLevels {
         file: stack.entry().file.clone(),
         role: stack.role(),
-        count: stack.len(),
+        count: stack.whole().count(),
         frames: Vec::new(),
+        looked: 0,
+        constant: Vec::new(),
         range: [f32::INFINITY, f32::NEG_INFINITY],
         saturated: 0.0,
         at_top: 0.0,
@@ -79,11 +95,25 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
     if usable.is_empty() {
         usable = stack.info().iter().collect();
     }
-    for info in sample(usable.len()).into_iter().map(|n| usable[n]) {
+    let sampled = sample(usable.len());
+    let all = whole && usable.len() * reader.rows() * reader.cols() <= constant::most_px(stack.role());
+    let looked = if all { (0..usable.len()).collect() } else { sampled.clone() };
+    found.looked = looked.len();
+    for (n, info) in looked.into_iter().map(|n| (n, usable[n])) {
         let frame: Array2<f32> = reader.read(info.frame)?;
         let cut = if stack.role() == Role::Bead { Cut::of(&frame) } else { None };
         let measured = |(r, c): (usize, usize)| cut.as_ref().is_none_or(|cut| cut.holds(r, c));
         let mut values: Vec<f32> = frame.indexed_iter().filter(|(at, _)| measured(*at)).map(|(_, v)| *v).collect();
+        step();
+        if let Some(value) = constant_dn(values.iter()).filter(|v| *v < top) {
+            found.constant.push((info.frame, value));
+            if stack.role() != Role::Dark {
+                continue;
+            }
+        }
+        if !sampled.contains(&n) {
+            continue;
+        }
         for v in &values {
             if *v > found.range[1] {
                 tops = 0.0;
@@ -98,7 +128,6 @@ fn read(stack: &Stack, top: f32, step: &mut dyn FnMut()) -> Result<StackLevels, 
         let mean = values.iter().map(|v| f64::from(*v)).sum::<f64>() / values.len().max(1) as f64;
         let middle = f64::from(median(&mut values));
         found.frames.push(FrameLevel { mean, median: middle, dose: [info.exposure_ms, info.illumination] });
-        step();
     }
     found.saturated /= f64::max(pixels, 1.0);
     found.at_top = tops / f64::max(pixels, 1.0);
@@ -139,6 +168,10 @@ fn codes(s: &StackLevels, session: &Session) -> Vec<Finding> {
     let [low, high] = s.range;
     let file = &s.file;
     let one = |topic, severity, text: String| vec![Finding::new(topic, severity, text)];
+    // Frames of one value say nothing of a scale; darks of one value are named as such.
+    if s.frames.is_empty() || s.is_constant() {
+        return Vec::new();
+    }
     if high <= 1.0 && s.role != Role::Dark {
         let text = format!(
             "{file}: all values lie between {low} and {high}: the frames look scaled to 0..1. Write raw digital numbers"
@@ -166,7 +199,7 @@ fn codes(s: &StackLevels, session: &Session) -> Vec<Finding> {
         );
         return one("bit depth", Severity::Error, text);
     }
-    if s.step > 1 && high > 0.0 {
+    if s.step > 1 {
         let text = format!(
             "{file}: all values are multiples of {}: the frames look shifted left by {} bits, or were scaled. Divide \
              them by {}, with sensor.bit_depth to match",
@@ -247,7 +280,7 @@ fn black(levels: &[StackLevels], top_dn: f64) -> Vec<Finding> {
         return lit_darks;
     }
     let mut findings = Vec::new();
-    for s in levels.iter().filter(|s| s.role != Role::Dark) {
+    for s in levels.iter().filter(|s| s.role != Role::Dark && !s.frames.is_empty()) {
         let medians: Vec<f64> = s.frames.iter().map(|f| f.median).collect();
         let lowest = medians.iter().copied().fold(f64::INFINITY, f64::min);
         // More than any drift of a black level: half of it is gone.
@@ -343,57 +376,14 @@ pub fn pixel_sizes(session: &Session) -> Result<Vec<Finding>, SessionError> {
     Ok(findings)
 }
 
-/// What changes over the scan.
-pub fn drift(scan: &Scan) -> Vec<Finding> {
-    let mut findings = Vec::new();
-    let n = scan.frames.len();
-    if n < 9 {
-        return findings;
-    }
-    let third = n / 3;
-    let light: Vec<f64> = scan.frames.iter().map(|f| f.total_dn).collect();
-    let level: Vec<f64> = scan.frames.iter().map(|f| f64::from(f.level_dn)).collect();
-    let (first, mid, last) = (middle(&light[..third]), middle(&light[third..n - third]), middle(&light[n - third..]));
-    let change = (last - first) / mid.abs().max(f64::MIN_POSITIVE);
-    // Vignetting is even about the middle of the scan; a drift is not.
-    if change.abs() > DRIFT && scan.frames.iter().all(|f| f.z_um == scan.frames[0].z_um) {
-        let text = format!(
-            "the light of the beads changes by {:+.0} % from the first to the last third of the scan: a lamp that \
-             drifts, a bead that bleaches, or vignetting along the scan",
-            100.0 * change
-        );
-        findings.push(Finding::new("drift", Severity::Warning, text));
-    }
-    let typical = middle(&light);
-    let lost: Vec<usize> = scan.frames.iter().filter(|f| f.total_dn < 0.02 * typical.abs()).map(|f| f.frame).collect();
-    if !lost.is_empty() && typical > 0.0 {
-        let shown: Vec<String> = lost.iter().take(5).map(ToString::to_string).collect();
-        let text = format!(
-            "{} bead frames show less than 2 % of the light of the others (frame {}): remove them with their rows, or \
-             measure them again",
-            lost.len(),
-            shown.join(", ")
-        );
-        findings.push(Finding::new("light", Severity::Warning, text));
-    }
-    let moved = middle(&level[n - third..]) - middle(&level[..third]);
-    let spread = middle(&level.iter().map(|v| (v - middle(&level)).abs()).collect::<Vec<_>>());
-    if moved.abs() > (6.0 * spread).max(2.0) {
-        let text = format!(
-            "the level between the foci moves by {moved:+.1} DN from the first to the last third of the scan: black \
-             level or stray light drift. `calibrate` takes the level of each frame off"
-        );
-        findings.push(Finding::new("drift", Severity::Warning, text));
-    }
-    findings
-}
-
 /// What is there and what is missing.
 pub fn counts(session: &Session, levels: &[StackLevels]) -> Vec<Finding> {
     let count = |role: Role| levels.iter().filter(|s| s.role == role).map(|s| s.count).sum::<usize>();
     let [dark, flat, bead, scene] = [Role::Dark, Role::Flat, Role::Bead, Role::Scene].map(count);
-    let mut findings =
-        vec![Finding::new("counts", Severity::Ok, format!("{dark} darks, {flat} flats, {bead} beads, {scene} scenes"))];
+    let damaged = session.stacks().iter().flat_map(|s| s.info()).filter(|info| info.is_damaged()).count();
+    let apart = if damaged > 0 { format!(", and {damaged} damaged frames") } else { String::new() };
+    let text = format!("{dark} darks, {flat} flats, {bead} beads, {scene} scenes{apart}");
+    let mut findings = vec![Finding::new("counts", Severity::Ok, text)];
     let mut lacks = |text: &str| findings.push(Finding::new("counts", Severity::Warning, text));
     if dark < 2 {
         lacks("fewer than two dark frames: black level, read noise and fixed pattern are guesses. Measure ten or more");

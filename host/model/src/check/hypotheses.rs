@@ -5,7 +5,7 @@
 //! tell mirrored positions from mirrored frames, since an array of lenses is its own mirror image.
 
 use super::scan::{SUSPECT, Scan, middle};
-use super::{Finding, Severity};
+use super::{Finding, Outlier, Severity};
 use ommatidia_session::{Manifest, Session};
 use serde::Serialize;
 
@@ -61,7 +61,8 @@ impl Turn {
             (false, "") => format!("{table} and the frames agree"),
             (false, axes @ "x and y") => format!(
                 "{axes} of {table} look mirrored, or the frames look {frames} (a lens turns its image), or the rows of \
-                 the table are in reverse order: change the sign of {axes} in {table}, or turn the frames"
+                 the table are in reverse order: change the sign of {axes} in {table}, or turn the frames, or reverse \
+                 the order of the positions in {table}"
             ),
             (false, axes) => format!(
                 "{axes} of {table} looks mirrored, or the frames look {frames}: change the sign of {axes} in {table}, \
@@ -294,7 +295,7 @@ fn is_testable(scan: &Scan, as_is: f64) -> bool {
 }
 
 /// What the hypotheses mean for the user.
-pub fn describe(tried: &Tried, scan: &Scan, session: &Session) -> Vec<Finding> {
+pub fn describe(tried: &Tried, scan: &Scan, outliers: &[Outlier], session: &Session) -> Vec<Finding> {
     let table = session
         .stacks_of(ommatidia_session::Role::Bead)
         .next()
@@ -339,6 +340,8 @@ pub fn describe(tried: &Tried, scan: &Scan, session: &Session) -> Vec<Finding> {
         );
         return error("positions", text);
     }
-    let text = format!("x and y of {table} agree with the foci of {} bead frames", scan.frames.len());
+    let agree = scan.frames.len() - outliers.len();
+    let of = if outliers.is_empty() { String::new() } else { format!(" of {}", scan.frames.len()) };
+    let text = format!("x and y of {table} agree with the foci of {agree}{of} bead frames");
     vec![Finding::new("orientation", Severity::Ok, text)]
 }

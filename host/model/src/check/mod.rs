@@ -9,7 +9,9 @@
 //! | [`depths`] | the same at the other depths of a scan, and what was not looked at |
 //! | [`drift`] | slow motion of the foci during the scan |
 //! | [`mod@array`] | the lenses that the foci form, against those that the manifest declares |
-//! | [`frames`] | the values of all frames: bit depth, saturation, black level, light levels, drift |
+//! | [`light`] | what changes over the scan: the light of the beads, and the level between them |
+//! | [`frames`] | the values of all frames: bit depth, saturation, black level, light levels |
+//! | [`constant`] | frames whose pixels all have one value |
 //! | [`recording`] | what is lost of the recordings |
 //!
 //! `calibrate` runs the same checks first: what is an error here stops it.
@@ -28,10 +30,12 @@
 //! ```
 
 pub mod array;
+mod constant;
 pub mod depths;
 pub mod drift;
 pub mod frames;
 pub mod hypotheses;
+mod light;
 pub mod positions;
 pub mod recording;
 pub mod scan;
@@ -51,7 +55,9 @@ const RELIABLE: f64 = 0.4;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// All is well, or a remark.
+    /// A fact that judges nothing, such as a number of frames in a respect in which something else is wrong.
+    Fact,
+    /// All is well.
     Ok,
     /// Nothing that stops a calibration.
     Warning,
@@ -119,7 +125,7 @@ pub struct ScanFindings {
 pub struct SessionCheck {
     /// One entry or more for each topic.
     pub findings: Vec<Finding>,
-    /// What the bead scan shows; None without one.
+    /// What the bead scan shows; None without one, and where its frames show nothing.
     pub scan: Option<ScanFindings>,
 }
 
@@ -141,25 +147,45 @@ pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, 
     findings.extend(recording::losses(session));
     let mut found = None;
     if session.stacks_of(Role::Bead).next().is_some() {
-        let scan = scan::Scan::read(session, &mut step)?;
-        findings.extend(frames::drift(&scan));
-        let depths = scan.by_depth();
-        let (more, mut seen) = look(session, &depths[0]);
-        findings.extend(more);
-        findings.extend(depths::look(session, &depths, &mut seen));
-        found = Some(seen);
+        let mut scan = scan::Scan::read(session, &mut step)?;
+        findings.extend(light::lost(&mut scan));
+        findings.extend(light::drift(&scan));
+        // Where all frames are constant, that is said already.
+        if !scan.frames.is_empty() {
+            let depths = scan.by_depth();
+            let (more, mut seen) = look(session, &depths[0]);
+            findings.extend(more);
+            findings.extend(depths::look(session, &depths, &mut seen));
+            found = Some(seen);
+        }
     }
     findings.extend(frames::counts(session, &levels));
+    without_contradictions(&mut findings);
     findings.sort_by_key(|f| std::cmp::Reverse(f.severity));
     Ok(SessionCheck { findings, scan: found })
+}
+
+/// Where something is wrong in one respect, nothing is well in that respect: what else is known of it is a fact.
+fn without_contradictions(findings: &mut [Finding]) {
+    // Several topics judge the table of positions.
+    let respect = |topic: &'static str| match topic {
+        "orientation" | "order" | "units" | "single positions" => "positions",
+        other => other,
+    };
+    let wrong: Vec<&str> = findings.iter().filter(|f| f.severity > Severity::Ok).map(|f| respect(f.topic)).collect();
+    for finding in findings.iter_mut().filter(|f| f.severity == Severity::Ok) {
+        if wrong.contains(&respect(finding.topic)) {
+            finding.severity = Severity::Fact;
+        }
+    }
 }
 
 /// The checks of the bead scan.
 fn look(session: &Session, scan: &scan::Scan) -> (Vec<Finding>, ScanFindings) {
     let mut findings = Vec::new();
     let tried = hypotheses::best(scan, session.manifest());
-    findings.extend(hypotheses::describe(&tried, scan, session));
     let outliers = positions::outliers(scan, &tried);
+    findings.extend(hypotheses::describe(&tried, scan, &outliers, session));
     findings.extend(positions::describe(&outliers, scan, &tried));
     let lattice = array::lattice(scan, &tried, session.manifest());
     let drift = drift::drift(scan, &tried, &outliers, (&lattice, session.manifest().array.lenses()));

@@ -10,6 +10,7 @@ use super::hypotheses::Tried;
 use super::scan::{SUSPECT, Scan, Small, add, dot, middle, without};
 use super::{Finding, Severity};
 use ndarray::Array2;
+use ommatidia_session::{fixed, trimmed};
 use serde::Serialize;
 
 /// A place for its foci is found where its correlation reaches this share of the median one.
@@ -193,11 +194,15 @@ pub fn describe(outliers: &[Outlier], scan: &Scan, tried: &Tried) -> Vec<Finding
         .map(|o| {
             let ([y, x], [r, c], [shown_y, shown_x]) = (o.at_um, o.off_px, o.shown_um);
             format!(
-                "{}: frame {}: the table says x_um = {x}, y_um = {y}, but its foci lie {:.0} px away, where a bead at \
-                 x_um = {shown_x:.0}, y_um = {shown_y:.0} would put them",
+                "{}: frame {}: the table says x_um = {}, y_um = {}, but its foci lie {:.0} px away, where a bead at \
+                 x_um = {}, y_um = {} would put them",
                 o.file,
                 o.frame,
-                r.hypot(c)
+                trimmed(x, 3),
+                trimmed(y, 3),
+                r.hypot(c),
+                fixed(shown_x, 0),
+                fixed(shown_y, 0)
             )
         })
         .collect();

@@ -1,6 +1,7 @@
 //! The bead frames, made small, and how well they coincide.
 
 use ndarray::{Array2, s};
+use ommatidia_physics::sensor::constant_dn;
 use ommatidia_session::{Cut, Manifest, Role, Session, SessionError};
 use rayon::prelude::*;
 
@@ -49,6 +50,8 @@ pub struct Scan {
     pub all_moved_px: Vec<[f64; 2]>,
     /// Depths of all bead frames, um.
     pub all_z_um: Vec<f64>,
+    /// Number of bead frames that were read; those of one value, and those without light, are not among `frames`.
+    pub read: usize,
     /// Sensor pixels along one side of a small pixel.
     pub bin: usize,
 }
@@ -66,7 +69,8 @@ impl Scan {
         let every = count.div_ceil(most).max(1);
         let side = ((MOST_PX as f64 / count.div_ceil(every).max(1) as f64).sqrt()).clamp(SIDE[0], SIDE[1]);
         let bin = (m.sensor.rows.max(m.sensor.cols) as f64 / side).ceil().max(1.0) as usize;
-        let (mut frames, mut all_moved_px, mut all_z_um, mut bead) = (Vec::new(), Vec::new(), Vec::new(), 0);
+        let (mut frames, mut all_moved_px, mut all_z_um) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut bead, mut read) = (0, 0);
         for stack in stacks {
             let mut reader = stack.frames()?;
             for info in stack.whole() {
@@ -75,12 +79,18 @@ impl Scan {
                 all_z_um.push(info.z_um);
                 if bead % every == 0 {
                     let frame = reader.read(info.frame)?;
+                    step();
+                    read += 1;
+                    bead += 1;
+                    if constant_dn(frame.iter()).is_some() {
+                        continue;
+                    }
                     let (light, level_dn) = small(&frame, bin);
                     let (at_um, z_um) = ([info.y_um, info.x_um], info.z_um);
                     let file = stack.entry().file.clone();
                     let frame = info.frame;
                     frames.push(Small {
-                        bead,
+                        bead: bead - 1,
                         file,
                         frame,
                         moved_px,
@@ -92,9 +102,9 @@ impl Scan {
                         level_dn,
                         noise_dn2: 0.0,
                     });
-                    step();
+                } else {
+                    bead += 1;
                 }
-                bead += 1;
             }
         }
         without_pattern(&mut frames);
@@ -105,13 +115,13 @@ impl Scan {
             // The light of foci covers few pixels: the median is that of the noise.
             f.noise_dn2 = (1.4826 * f64::from(median(&mut off))).powi(2) * f.light.len() as f64;
         }
-        Ok(Self { frames, all_moved_px, all_z_um, bin })
+        Ok(Self { frames, all_moved_px, all_z_um, read, bin })
     }
 
     /// The frames of each depth, since foci change their shape with depth: first the depth with the most frames (of
     /// several such depths that nearest to 0 um), then the others, ascending. At least one, which may be empty.
     pub fn by_depth(self) -> Vec<Self> {
-        let Self { frames, all_moved_px, all_z_um, bin } = self;
+        let Self { frames, all_moved_px, all_z_um, read, bin } = self;
         let mut depths: Vec<Self> = Vec::new();
         for frame in frames {
             match depths.iter_mut().find(|depth| same_depth(depth.z_um(), frame.z_um)) {
@@ -120,6 +130,7 @@ impl Scan {
                     frames: vec![frame],
                     all_moved_px: all_moved_px.clone(),
                     all_z_um: all_z_um.clone(),
+                    read,
                     bin,
                 }),
             }
@@ -132,7 +143,7 @@ impl Scan {
         });
         match main {
             Some(main) => depths[..=main].rotate_right(1),
-            None => depths.push(Self { frames: Vec::new(), all_moved_px, all_z_um, bin }),
+            None => depths.push(Self { frames: Vec::new(), all_moved_px, all_z_um, read, bin }),
         }
         depths
     }

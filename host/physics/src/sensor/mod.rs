@@ -33,4 +33,4 @@ pub use codes::sensor_codes;
 pub use error::{FrameError, MapShapeError};
 pub use input::FrameInput;
 pub use maps::SensorMaps;
-pub use watch::{FrameRange, FrameWatch, Oddity, Scaled, odd_scenes};
+pub use watch::{FrameRange, FrameWatch, Oddity, Scaled, constant_dn, constant_words, odd_scenes};

@@ -79,7 +79,7 @@ impl FrameRange {
             return None;
         }
         let (black, full) = (self.black_level_dn as f32, self.saturation_dn as f32);
-        let [low, high] = frame_dn.iter().fold([f32::INFINITY, f32::NEG_INFINITY], |e, v| [e[0].min(*v), e[1].max(*v)]);
+        let high = frame_dn.iter().fold(f32::NEG_INFINITY, |high, v| high.max(*v));
         let share =
             |odd: &dyn Fn(f32) -> bool| frame_dn.iter().filter(|v| odd(**v)).count() as f64 / frame_dn.len() as f64;
         if high > full + 0.5 {
@@ -89,8 +89,8 @@ impl FrameRange {
         if saturated > DEFECTS {
             return Some(Oddity::Saturated(saturated));
         }
-        if low == high {
-            return Some(Oddity::Constant(low.into()));
+        if let Some(value) = constant_dn(frame_dn.iter()) {
+            return Some(Oddity::Constant(value.into()));
         }
         let noise = noise_dn(frame_dn);
         let below = share(&|v| v < black - SIGMAS * noise.max(LEAST_DN));
@@ -127,6 +127,17 @@ impl FrameRange {
             _ => Scaled::Other,
         }
     }
+}
+
+/// The value of all pixels of a frame, DN; None where two differ, or there are none.
+pub fn constant_dn<'a>(mut frame_dn: impl Iterator<Item = &'a f32>) -> Option<f32> {
+    let first = frame_dn.next()?;
+    frame_dn.all(|v| v == first).then_some(*first)
+}
+
+/// What a frame whose pixels all have one value, DN, means for a user.
+pub fn constant_words(value_dn: f64) -> String {
+    format!("every pixel is {value_dn} DN: no sensor delivers that; was the frame recorded at all?")
 }
 
 /// Noise of a frame, DN: from the differences of neighbours in a row, of which most hold no structure.
@@ -232,9 +243,7 @@ impl fmt::Display for Words {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(FrameRange { black_level_dn: black, saturation_dn: full }, oddity) = self;
         match oddity {
-            Oddity::Constant(value) => {
-                write!(f, "every pixel is {value} DN: no sensor delivers that; was the frame recorded at all?")
-            }
+            Oddity::Constant(value) => f.write_str(&constant_words(*value)),
             Oddity::Dark => write!(
                 f,
                 "no light above the noise, all pixels lie at the black level ({black:.1} DN): was the shutter closed, \

@@ -3,9 +3,11 @@
 use super::common::{Findings, any_session};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
-use ommatidia_model::check::{Finding, ScanFindings, SessionCheck, Severity, Shown, check};
+use anyhow::Context;
+use ommatidia_model::check::{Finding, SessionCheck, Severity, Shown, check};
 use ommatidia_session::artifact::write_whole;
 use ommatidia_session::kind::FileKind;
+use ommatidia_session::{Role, Session, Stack};
 use serde_json::json;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -14,6 +16,8 @@ use std::path::PathBuf;
 const SIDE: usize = 1000;
 /// Foci that lie farther than this from where they were predicted are joined by a line, sensor pixels.
 const APART_PX: f64 = 2.0;
+/// Most frames of the mean that is drawn where there is no bead scan.
+const MEAN_OF: usize = 24;
 
 /// Options of `check`.
 #[derive(Debug, clap::Args)]
@@ -22,7 +26,8 @@ pub struct Args {
     /// Folder of the measured session
     session: PathBuf,
     /// Write a picture to this PNG file: the foci of some bead frames that by the table draw a letter F behind each
-    /// lens. Rings show where the table puts them, dots where they were found; a line joins the two where they disagree
+    /// lens. Rings show where the table puts them, dots where they were found; a line joins the two where they disagree.
+    /// Of a session whose bead frames show nothing, or without any: the mean of some frames
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -44,30 +49,63 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         anyhow::ensure!(png, "{}: the picture is a PNG; choose a name that ends in .png", file.display());
     }
     let session = any_session(&args.session, run.seed)?;
-    let frames: u64 = session.stacks().iter().map(|s| s.len() as u64).sum();
-    let bar = run.progress(frames, "check");
+    // Bead frames are read twice.
+    let reads = |s: &Stack| s.len() as u64 * if s.role() == Role::Bead { 2 } else { 1 };
+    let bar = run.progress(session.stacks().iter().map(reads).sum(), "check");
     let started = std::time::Instant::now();
     let found = check(&session, || bar.inc(1))?;
     bar.finish_and_clear();
-    if let (Some(file), Some(scan)) = (&args.output, &found.scan) {
-        write_whole(file, &picture(scan, [session.manifest().sensor.rows, session.manifest().sensor.cols])?)?;
+    let mut of_picture = String::new();
+    if let Some(file) = &args.output {
+        let mean;
+        let shown = match &found.scan {
+            Some(scan) => &scan.shown,
+            None => {
+                (mean, of_picture) = mean_frame(&session)?;
+                &mean
+            }
+        };
+        write_whole(file, &picture(shown, [session.manifest().sensor.rows, session.manifest().sensor.cols])?)?;
     }
     let errors = found.at_least(Severity::Error).count();
     let mut json = json!({
         "session": args.session, "errors": errors, "findings": found.findings,
         "warnings": found.at_least(Severity::Warning).count() - errors,
-        "scan": found.scan, "picture": args.output.as_ref().filter(|_| found.scan.is_some()),
+        "scan": found.scan, "picture": args.output,
     });
     json["seconds"] = json!(started.elapsed().as_secs_f64());
     if errors > 0 {
-        return Err(Findings { text: text(&found, args).trim_end().into(), json }.into());
+        return Err(Findings { text: text(&found, args, &of_picture).trim_end().into(), json }.into());
     }
-    Ok(Outcome { json, text: text(&found, args) })
+    Ok(Outcome { json, text: text(&found, args, &of_picture) })
 }
 
-fn text(found: &SessionCheck, args: &Args) -> String {
+/// The mean of some frames of the first stack of scenes (else of flats, else of the first stack), above its darkest
+/// pixels; and what it is, in words.
+///
+/// # Errors
+/// There is no stack, or a frame cannot be read.
+fn mean_frame(session: &Session) -> anyhow::Result<(Shown, String)> {
+    let of = |role| session.stacks_of(role).next();
+    let stack = of(Role::Scene).or_else(|| of(Role::Flat)).or_else(|| session.stacks().first());
+    let stack = stack.with_context(|| format!("{}: no stack to draw", session.dir().display()))?;
+    let (mut frames, count) = (stack.frames()?, stack.len().min(MEAN_OF));
+    let mut light = frames.read(0)?;
+    for i in 1..count {
+        light += &frames.read(i * stack.len() / count)?;
+    }
+    light /= count as f32;
+    let mut values: Vec<f32> = light.iter().copied().collect();
+    let at = values.len() / 100;
+    let darkest = *values.select_nth_unstable_by(at, f32::total_cmp).1;
+    let words = format!(" (no bead scan to draw: the mean of {count} frames of {})", stack.entry().file);
+    Ok((Shown { pairs: Vec::new(), light: light - darkest, bin: 1 }, words))
+}
+
+fn text(found: &SessionCheck, args: &Args, of_picture: &str) -> String {
     let mut out = String::new();
     let word = |s: Severity| match s {
+        Severity::Fact => "",
         Severity::Ok => "ok",
         Severity::Warning => "warning",
         Severity::Error => "ERROR",
@@ -80,15 +118,15 @@ fn text(found: &SessionCheck, args: &Args) -> String {
         // Writing to a string cannot fail.
         let _ = writeln!(out, "{:<8} {topic:<16} {text}", word(*severity));
     }
-    if let (Some(file), Some(_)) = (&args.output, &found.scan) {
-        let _ = writeln!(out, "-> {}", file.display());
+    if let Some(file) = &args.output {
+        let _ = writeln!(out, "-> {}{of_picture}", file.display());
     }
     out
 }
 
 /// The picture of predicted over found foci, as PNG.
-fn picture(scan: &ScanFindings, sensor: [usize; 2]) -> anyhow::Result<Vec<u8>> {
-    let Shown { pairs, light, bin } = &scan.shown;
+fn picture(shown: &Shown, sensor: [usize; 2]) -> anyhow::Result<Vec<u8>> {
+    let Shown { pairs, light, bin } = shown;
     let zoom = (SIDE / sensor[0].max(sensor[1])).max(1);
     let mut canvas = Canvas::new([sensor[0] * zoom, sensor[1] * zoom]);
     let top = light.iter().fold(0.0f32, |m, v| m.max(*v)).max(f32::MIN_POSITIVE);

@@ -350,7 +350,7 @@ fn on_the_grid(recording: &Opened, manifest: &Manifest, infos: &[FrameInfo]) -> 
     for (i, info) in infos.iter().enumerate() {
         let named = parts.get(i).filter(|_| in_names).map(|part| &part.path);
         let of_bead = std::slice::from_ref(info);
-        crate::open::beads_inside(named.unwrap_or(&recording.positions), manifest, of_bead).map_err(|e| match e {
+        crate::table::beads_inside(named.unwrap_or(&recording.positions), &manifest.object, of_bead).map_err(|e| match e {
             SessionError::Value { path, field, expected, found, .. } => {
                 let field = if in_names { field.replace("column", "position") } else { field };
                 let remedy = "check the unit of the positions (--unit for those in names), and that the object has the \
