@@ -110,6 +110,10 @@ fn files(folder: &Path) {
     std::fs::write(folder.join("page.html"), "<!doctype html><p>x<script>document.body.dataset.ran = 1 + 1</script>")
         .unwrap();
     std::fs::write(folder.join("notes.csv"), "a,b\n").unwrap();
+    std::fs::create_dir(folder.join("recording")).unwrap();
+    for name in ["recording/0.tif", "recording/1.tif"] {
+        stack::write(&folder.join(name), Array3::from_shape_fn((2, 5, 6), |(_, r, c)| (r + c) as f32).view()).unwrap();
+    }
 }
 
 fn session(path: &Path, like: &Manifest) {
@@ -121,8 +125,10 @@ fn session(path: &Path, like: &Manifest) {
         frames.push(frame(i).view()).unwrap();
     }
     frames.finish().unwrap();
-    let info: Vec<FrameInfo> =
+    let mut info: Vec<FrameInfo> =
         (0..4).map(|i| FrameInfo { z_um: 10.0 * (i / 2) as f64, ..FrameInfo::plain(i, 10.0) }).collect();
+    info.iter_mut().for_each(|info| drop(info.other.insert("data".into(), "whole".into())));
+    info[1].other.insert("data".into(), "damaged".into());
     writer.table("scene.csv", &info).unwrap();
     let entry = StackEntry::plain(Role::Scene, "scene.npy", 10.0);
     writer.add(StackEntry { table: Some("scene.csv".into()), ..entry });
@@ -145,12 +151,20 @@ fn what_is_sent_is_what_is_in_the_files() {
     files(folder.path());
     let server = Server::start(&[folder.path()]);
     let list = server.json("/files");
-    assert_eq!(list["files"].as_array().unwrap().len(), 6);
+    assert_eq!(list["files"].as_array().unwrap().len(), 7);
     let at = |name: &str| number(&list, name);
     assert_eq!(list["files"][at("notes.csv")]["kind"], "unshown");
+    // A report is offered of what a report can draw.
+    for n in (0..7).filter(|n| *n != at("notes.csv")) {
+        let offered = server.json(&format!("/file/{n}"))["report"] == true;
+        let (status, text) = server.text(&format!("/report/{n}"));
+        assert!(!offered || status == 200, "{}: {text}", list["files"][n]["name"]);
+        assert!(offered || n == at("page.html"), "{}", list["files"][n]["name"]);
+    }
 
     let n = at("session");
     let shows = server.json(&format!("/file/{n}"))["shows"].clone();
+    assert!(shows["notes"].to_string().contains("1 of 4 frames are marked as damaged (1)"), "{}", shows["notes"]);
     assert_eq!(shows["groups"][0]["z_um"], serde_json::json!([0.0, 0.0, 10.0, 10.0]));
     assert_eq!(shows["groups"][0]["panes"][0]["unit"], "DN");
     let read = Session::open(folder.path().join("session")).unwrap().stacks()[0].frames().unwrap().read(2).unwrap();

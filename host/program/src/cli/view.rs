@@ -44,9 +44,10 @@ impl Args {
 /// Runs the verb: serves the page until Ctrl-C.
 ///
 /// # Errors
-/// A file is missing or cannot be shown, or the port is in use.
+/// No file can be shown, or the port is in use.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let listing = Listing::new(&args.paths)?;
+    listing.refused.iter().for_each(|why| tracing::warn!("{why}"));
     let shown = listing.entries.iter().filter(|entry| entry.kind != Kind::Unshown).count();
     let site = Site::new(listing);
     let address = SocketAddr::from((Ipv4Addr::LOCALHOST, args.port.unwrap_or(0)));
@@ -57,7 +58,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let url = format!("http://{address}/");
     let files = if shown == 1 { "1 file".into() } else { format!("{shown} files") };
     let text = match run.json {
-        true => format!("{}\n", json!({ "url": url, "files": shown })),
+        true => format!("{}\n", json!({ "verb": "view", "url": url, "files": shown })),
         false => format!("{url} shows {files}; Ctrl-C ends it\n"),
     };
     print(text.as_bytes()).context("standard output")?;

@@ -86,37 +86,58 @@ pub struct Listing {
     pub entries: Vec<Entry>,
     /// Number of files beyond the most that are listed.
     pub left_out: usize,
+    /// Arguments of which nothing can be shown, each with the reason.
+    pub refused: Vec<String>,
     seen: BTreeSet<PathBuf>,
 }
 
 impl Listing {
-    /// Lists files, and the files in folders.
+    /// Lists files, and the files in folders. An argument of which nothing can be shown is listed with the reason, and
+    /// does not keep the others from being shown.
     ///
     /// # Errors
-    /// An argument is missing, is of a kind that cannot be shown, or is a folder without a file that can be shown.
+    /// Nothing can be shown: every argument is missing, of a kind that cannot be shown, or a folder without a file that
+    /// can be shown.
     pub fn new(paths: &[PathBuf]) -> anyhow::Result<Self> {
         let mut this = Self::default();
         for path in paths {
-            let named = path.display();
-            let root = path.canonicalize().map_err(|e| {
-                let remedy = ommatidia_session::remedy(&e);
-                anyhow::Error::new(e).context(format!("{named}: cannot be opened; {remedy}"))
-            })?;
             let before = this.entries.len();
-            if root.is_dir() && plain_folder(path)? {
-                this.add_folder(path, &root, 0)?;
-                // A file that an argument before has named counts, too.
-                let inside = |e: &Entry| e.path.canonicalize().is_ok_and(|whole| whole.starts_with(&root));
-                let shown = this.entries.iter().any(|e| e.kind != Kind::Unshown && inside(e));
-                ensure!(shown, "{named}: no file in this folder can be shown; name a folder of results, or a file");
-                continue;
-            }
-            this.add(path, &root);
-            if let Some(Entry { kind: Kind::Unshown, why: Some(why), .. }) = this.entries.get(before) {
-                bail!("{named}: cannot be shown: {why}");
+            if let Err(error) = this.add_argument(path) {
+                let why = causes(error.as_ref()).join("; ");
+                if this.entries.len() == before {
+                    this.entries.push(Entry::unshown(path, why.clone()));
+                }
+                this.refused.push(why);
             }
         }
+        ensure!(this.entries.iter().any(|e| e.kind != Kind::Unshown), "{}", this.refused.join("\n"));
         Ok(this)
+    }
+
+    /// Adds what an argument names.
+    ///
+    /// # Errors
+    /// Nothing of it can be shown.
+    fn add_argument(&mut self, path: &Path) -> anyhow::Result<()> {
+        let named = path.display();
+        let root = path.canonicalize().map_err(|e| {
+            let remedy = ommatidia_session::remedy(&e);
+            anyhow::Error::new(e).context(format!("{named}: cannot be opened; {remedy}"))
+        })?;
+        if root.is_dir() && plain_folder(path)? {
+            self.add_folder(path, &root, 0)?;
+            // A file that an argument before has named counts, too.
+            let inside = |e: &Entry| e.path.canonicalize().is_ok_and(|whole| whole.starts_with(&root));
+            let shown = self.entries.iter().any(|e| e.kind != Kind::Unshown && inside(e));
+            ensure!(shown, "{named}: no file in this folder can be shown; name a folder of results, or a file");
+            return Ok(());
+        }
+        let before = self.entries.len();
+        self.add(path, &root);
+        if let Some(Entry { kind: Kind::Unshown, why: Some(why), .. }) = self.entries.get(before) {
+            bail!("{named}: cannot be shown: {why}");
+        }
+        Ok(())
     }
 
     /// Sensors and objects of instruments, sessions and evaluations.
@@ -151,29 +172,38 @@ impl Listing {
         if whole.as_ref().is_some_and(|whole| !self.seen.insert(whole.clone())) {
             return;
         }
-        let mut entry = Entry {
-            name: path.display().to_string(),
-            kind: Kind::Unshown,
-            why: None,
-            frame: None,
-            object: None,
-            object_um: None,
-            path: path.into(),
-            grids: None,
+        let entry = match whole {
+            None => Entry::unshown(path, "it is a link that leads out of the folder, or nowhere".into()),
+            Some(_) => Entry::of(path),
         };
-        match whole {
-            None => entry.why = Some("it is a link that leads out of the folder, or nowhere".into()),
-            Some(_) => {
-                if let Err(why) = entry.look() {
-                    (entry.kind, entry.why) = (Kind::Unshown, Some(causes(why.as_ref()).join("; ")));
-                }
-            }
-        }
         self.entries.push(entry);
     }
 }
 
 impl Entry {
+    /// A file that is not shown, and why.
+    fn unshown(path: &Path, why: String) -> Self {
+        Self {
+            name: path.display().to_string(),
+            kind: Kind::Unshown,
+            why: Some(why),
+            frame: None,
+            object: None,
+            object_um: None,
+            path: path.into(),
+            grids: None,
+        }
+    }
+
+    /// A file, or why it is not shown.
+    fn of(path: &Path) -> Self {
+        let mut entry = Self { why: None, ..Self::unshown(path, String::new()) };
+        match entry.look() {
+            Ok(()) => entry,
+            Err(why) => Self::unshown(path, causes(why.as_ref()).join("; ")),
+        }
+    }
+
     /// Finds out what the file is.
     fn look(&mut self) -> anyhow::Result<()> {
         let path = &self.path;
@@ -223,16 +253,19 @@ impl Entry {
                 Kind::DataSet
             }
             FileKind::Folder | FileKind::Stack => {
-                // A long file is not read here.
-                if path.is_dir() {
-                    FrameReader::open(path)?;
-                }
+                // Its frames are not read here.
+                FrameReader::open(path)?;
                 Kind::Stack
             }
-            FileKind::Json => Kind::Figures,
+            FileKind::Json => {
+                let file = std::io::BufReader::new(std::fs::File::open(path)?);
+                serde_json::from_reader::<_, serde::de::IgnoredAny>(file)
+                    .context("it begins as JSON, but is damaged or cut short")?;
+                Kind::Figures
+            }
             FileKind::Page => Kind::Page,
             FileKind::Picture => Kind::Picture,
-            found @ (FileKind::Tensors | FileKind::Unknown) => {
+            found @ (FileKind::Manifest | FileKind::Tensors | FileKind::Unknown) => {
                 bail!("it is {found}; expected frames, a session, a data set, an artifact, a network file or a page")
             }
         };
@@ -365,5 +398,29 @@ mod tests {
         std::fs::write(folder.path().join("x.csv"), "a,b").unwrap();
         assert!(error(folder.path().join("x.csv")).contains("cannot be shown: it is an unknown file"));
         assert!(error(folder.path().into()).contains("no file in this folder"));
+    }
+
+    #[test]
+    fn one_argument_that_cannot_be_shown_is_listed_beside_the_others() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        frames(&at("own.npy"));
+        std::fs::write(at("x.csv"), "a,b").unwrap();
+        // Recognised by their first bytes, and not readable all the same.
+        std::fs::write(at("figures.json"), "{\"rank\": ").unwrap();
+        std::fs::write(at("film.mp4"), b"\0\0\0\x20ftypisom and more").unwrap();
+        std::fs::write(at("cut.npy"), b"\x93NUMPY\x01\0").unwrap();
+        std::fs::create_dir(at("empty")).unwrap();
+        let names = ["none.npy", "x.csv", "own.npy", "figures.json", "film.mp4", "cut.npy", "empty"];
+        let listing = Listing::new(&names.map(at)).unwrap();
+        let shown: Vec<&Entry> = listing.entries.iter().filter(|e| e.kind != Kind::Unshown).collect();
+        assert!(shown.len() == 1 && shown[0].path == at("own.npy"), "{shown:?}");
+        assert!(listing.entries.iter().all(|e| e.kind != Kind::Unshown || e.why.is_some()));
+        let refused = listing.refused.join("\n");
+        for name in names.iter().filter(|name| **name != "own.npy") {
+            assert!(refused.contains(name), "{name}: {refused}");
+            assert!(listing.entries.iter().any(|e| e.path == at(name) && e.kind == Kind::Unshown), "{name}");
+        }
+        assert!(refused.contains("damaged or cut short") && refused.contains("check its name"), "{refused}");
     }
 }

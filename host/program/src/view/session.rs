@@ -1,6 +1,7 @@
 //! A session: its stacks of frames, with their truths and noise-free frames where it has some.
 
 use super::source::{Description, Group, Pane, Picture, Source};
+use super::stack::times_and_notes;
 use anyhow::Context;
 use ommatidia_report::number;
 use ommatidia_session::{FrameInfo, FrameReader, Manifest, Session, Stack, TruthReader};
@@ -29,9 +30,21 @@ impl SessionSource {
         let session = Session::open(path)?;
         let groups = session.stacks().iter().map(|stack| group(stack, session.manifest())).collect::<Result<_, _>>()?;
         let facts = super::facts::of_manifest(session.manifest());
-        let description = Description { facts, notes: session.notes(), groups };
+        let mut notes = session.notes();
+        for stack in session.stacks() {
+            notes.extend(of_frames(stack)?);
+        }
+        let description = Description { facts, notes, groups };
         Ok(Self { session, description, open: None })
     }
+}
+
+/// What a person should know of the frames of a stack: what the table marks as damaged, and what is damaged or missing in
+/// the recording that it refers to.
+fn of_frames(stack: &Stack) -> anyhow::Result<Vec<String>> {
+    let (_, notes) = times_and_notes(&stack.frames()?);
+    let marked = stack.damaged_note("they are shown as they are");
+    Ok(marked.into_iter().chain(notes.into_iter().map(|note| format!("{}: {note}", stack.entry().file))).collect())
 }
 
 /// What a stack shows.
