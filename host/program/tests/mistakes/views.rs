@@ -12,8 +12,7 @@ fn files_and_addresses_that_a_page_cannot_have() {
         }
     };
     let rows = vec![
-        Mistake::new("A file that is not there", "view frames.npy nothing.npy")
-            .says(&["nothing.npy", "check its name"]),
+        Mistake::new("A file that is not there", "view nothing.npy").says(&["nothing.npy", "check its name"]),
         Mistake::new("A file of an unknown kind", "view session/bead.csv").says(&["bead.csv", "an unknown file"]),
         Mistake::new("A folder without a file that can be shown", "view notes")
             .with(|desk| {
