@@ -14,8 +14,8 @@ use ommatidia_physics::linalg::least_squares;
 const DRIFT: f64 = 0.1;
 /// Share of the usual light below which a bead frame shows none.
 const LOST: f64 = 0.02;
-/// Terms of the fit: a constant, three of the distance from the middle, and the time.
-const TERMS: usize = 5;
+/// Terms of the fit: a constant, four of the distance from the middle, and the time.
+const TERMS: usize = 6;
 /// Frames farther than this from the fit, robust standard deviations, do not count.
 const OUTLIER: f64 = 5.0;
 
@@ -84,7 +84,7 @@ fn change(scan: &Scan) -> Option<f64> {
         .enumerate()
         .map(|(i, f)| {
             let [r, c] = f.moved_px.map(|v| v / reach);
-            [1.0, r * r, r * c, c * c, 2.0 * i as f64 / last - 1.0]
+            [1.0, r * r, r * c, c * c, (r * r + c * c).powi(2), 2.0 * i as f64 / last - 1.0]
         })
         .collect();
     let value = |row: &[f64; TERMS], terms: &[f64; TERMS]| row.iter().zip(terms).map(|(x, t)| x * t).sum::<f64>();

@@ -36,7 +36,7 @@ pub enum NoiseNote {
     OneDark,
     /// No flats that determine the gain.
     #[error(
-        "the gain, {gain_dn_per_e} DN/e-, is {} ({reason}): light in electrons, simulated noise and chi2 scale with it; \
+        "the gain is {}, {gain_dn_per_e} DN/e- ({reason}): light in electrons, simulated noise and chi2 scale with it; \
          geometry, PSFs and predictions in DN do not depend on it. {}",
         if *given { "the one that was given" } else { "nominal" },
         measure("flats at several light levels, with two frames or more each", (!given).then_some("--gain"))
@@ -92,7 +92,7 @@ pub enum NoiseNote {
     },
     /// No frames that determine the read noise.
     #[error(
-        "the read noise, {read_noise_e} e-, is {}: simulated noise in dark regions and the weights of faint light depend \
+        "the read noise is {}, {read_noise_e} e-: simulated noise in dark regions and the weights of faint light depend \
          on it. {}",
         if *given { "the one that was given" } else { "nominal" },
         measure("two dark frames or more", (!given).then_some("--read-noise"))
