@@ -77,7 +77,10 @@ def program():
     def run(*words, cwd):
         done = subprocess.run([path, *map(str, words), "--json"], cwd=cwd, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        printed = json.loads(done.stdout)
+        # What the package returns is of a function, not of a verb.
+        assert printed.pop("verb").split()[0] == words[0]
+        return printed
 
     run.path = Path(path)
     return run
