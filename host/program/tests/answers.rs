@@ -15,7 +15,7 @@ fn scenes() -> tempfile::TempDir {
     let frame = |(f, r, c): (usize, usize, usize)| 40.0 + ((31 * f + 7 * r + 3 * c) % 50) as f32;
     stack::write(&folder.path().join("video.npy"), Array3::from_shape_fn((30, 24, 32), frame).view()).unwrap();
     let (video, session) = (folder.path().join("video.npy"), folder.path().join("session"));
-    run(&["import", &text(&video), "-o", &text(&session)]);
+    run(&["import", &text(&video), "-o", &text(&session), "--exposure-ms", "10"]);
     folder
 }
 

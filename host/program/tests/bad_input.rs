@@ -73,7 +73,7 @@ fn an_unknown_key_is_refused() {
 #[test]
 fn a_missing_table_column_is_refused() {
     let session = TinySession::new(Fault::None);
-    session.edit("bead.csv", |b| replace(b, "x_um", "x_mm"));
+    session.edit("bead.csv", |b| replace(b, "x_um", "east"));
     calibrate_refuses(&session, &["bead.csv", "x_um"]);
 }
 

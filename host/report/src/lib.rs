@@ -259,7 +259,7 @@ fn load(path: &Path) -> Result<Piece, ReportError> {
             };
             (json, content)
         }
-        other => return Err(ReportError::Kind { path: path.into(), found: other.to_string() }),
+        other => return Err(ReportError::Kind { path: path.into(), found: format!("{other}{}", other.advice()) }),
     };
     Ok(Piece { path: path.into(), json, content })
 }

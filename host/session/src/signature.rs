@@ -38,7 +38,7 @@ impl fmt::Display for FileKind {
             Self::Artifact(kind) => write!(f, "an artifact of kind `{kind}`"),
             Self::Blob => f.write_str("a network file (blob)"),
             Self::Session => f.write_str("a session folder"),
-            Self::Manifest => f.write_str("the manifest of a session; name its folder"),
+            Self::Manifest => f.write_str("the manifest of a session"),
             Self::Folder => f.write_str("a folder without a session.toml"),
             Self::Json => f.write_str("JSON"),
             Self::Stack => f.write_str("a stack of frames"),
@@ -51,6 +51,12 @@ impl fmt::Display for FileKind {
 }
 
 impl FileKind {
+    /// What to do where a file of this kind is named in the place of another, in words that follow the kind; may be
+    /// empty.
+    pub fn advice(&self) -> &'static str {
+        if *self == Self::Manifest { "; name its folder" } else { "" }
+    }
+
     /// The kind of a folder; None: the path is none.
     pub(crate) fn of_folder(path: &Path) -> Option<Self> {
         let kind = if path.join(crate::MANIFEST).exists() { Self::Session } else { Self::Folder };

@@ -166,9 +166,10 @@ pub(super) fn warn(warnings: impl IntoIterator<Item = String>) -> Vec<String> {
 pub(super) fn any_session(path: &Path, seed: u64) -> anyhow::Result<Session> {
     anyhow::ensure!(
         path.file_name().is_none_or(|name| name != MANIFEST),
-        "{}: this is {}",
+        "{}: this is {}{}",
         path.display(),
-        FileKind::Manifest
+        FileKind::Manifest,
+        FileKind::Manifest.advice()
     );
     let session = ommatidia_bench::open_session(path, seed)?;
     warn(session.notes());

@@ -49,8 +49,9 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         | FileKind::Tensors
         | FileKind::Unknown) => {
             bail!(
-                "{}: expected an artifact, a network file, a session, a data set, a stack or JSON, found {found}",
-                path.display()
+                "{}: expected an artifact, a network file, a session, a data set, a stack or JSON, found {found}{}",
+                path.display(),
+                found.advice()
             )
         }
     };
@@ -65,9 +66,10 @@ pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
         fields.insert("body".into(), summary(&closing));
     }
     // Figures may be long: what they are stands first.
-    for name in ["kind", "what"].into_iter().filter(|_| shown["kind"] == "json") {
-        entry(&mut text, name, &shown[name].take(), 1);
-        shown.as_object_mut().map(|fields| fields.remove(name));
+    if let Some(fields) = shown.as_object_mut().filter(|fields| fields.get("kind").is_some_and(|kind| kind == "json")) {
+        for name in ["kind", "what"] {
+            entry(&mut text, name, &fields.remove(name).unwrap_or_default(), 1);
+        }
     }
     list(&mut text, &shown, 1);
     Ok(Outcome { json, text })

@@ -122,7 +122,7 @@ impl Listing {
         let named = path.display();
         let root = path.canonicalize().map_err(|e| {
             let remedy = ommatidia_session::remedy(&e);
-            anyhow::Error::new(e).context(format!("{named}: cannot be opened; {remedy}"))
+            anyhow::anyhow!("{named}: cannot be opened ({e}); {remedy}")
         })?;
         if root.is_dir() && plain_folder(path)? {
             self.add_folder(path, &root, 0)?;
@@ -265,7 +265,8 @@ impl Entry {
             }
             FileKind::Page => Kind::Page,
             FileKind::Picture => Kind::Picture,
-            found @ (FileKind::Manifest | FileKind::Tensors | FileKind::Unknown) => {
+            found @ FileKind::Manifest => bail!("it is {found}{}", found.advice()),
+            found @ (FileKind::Tensors | FileKind::Unknown) => {
                 bail!("it is {found}; expected frames, a session, a data set, an artifact, a network file or a page")
             }
         };
