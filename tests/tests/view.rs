@@ -352,7 +352,7 @@ fn a_browser_draws_the_page() {
         &page("session", "&frame=3"),
         &[
             "data-state=\"ready\"",
-            "5 files",
+            "6 files",
             ">objects.npy<small>stack</small>",
             "not shown: it is an unknown file",
             "<dt>lenses</dt>",
