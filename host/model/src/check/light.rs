@@ -2,7 +2,7 @@
 //!
 //! Vignetting makes beads at the edge of the field fainter, and a scan may reach the edge early or late, as one does
 //! whose frames lie in the order of their names. So what the light owes to the distance from the middle of the scan is
-//! fitted along with its change in time. What changes evenly along one axis cannot be told from a drift in a scan line
+//! fitted along with its change in time. What changes evenly along one axis is no different from a drift in a scan line
 //! by line.
 
 use super::scan::{Scan, middle};
