@@ -81,8 +81,8 @@ impl FileKind {
     }
 }
 
-/// Whether the first bytes may be those of a safetensors file: the length of its header, less than 4 GiB, and the header,
-/// which is JSON. No text has a zero byte.
+/// Whether the first bytes may be those of a safetensors file: the length of its header, less than 4 GiB, and the
+/// header, which is JSON. No text has a zero byte.
 pub(crate) fn is_tensors(start: &[u8]) -> bool {
     matches!(start, [_, _, _, _, 0, 0, 0, 0, b'{', ..])
 }

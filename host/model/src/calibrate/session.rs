@@ -256,7 +256,8 @@ fn background_note(found: Option<&BeadBackground>) -> Option<String> {
     b.is_seen().then(|| {
         let [level, row, col] = b.mean_e;
         format!(
-            "the bead frames have a background of {} e- a pixel ({row:+.2} e- from the first to the last row, {col:+.2} \
+            "the bead frames have a background of {} e- a pixel ({row:+.2} e- from the first to the last row, \
+             {col:+.2} \
              e- from the first to the last column): removed from the PSFs. Scenes of this session may have it too; \
              `close` fits it",
             with_error(level, b.sigma_e[0], 2)

@@ -309,8 +309,8 @@ pub fn describe(drift: Option<&Drift>) -> Vec<Finding> {
         format!("drift by {total:.2} px from the first to the last bead frame")
     };
     let text = format!(
-        "the foci {motion}, beyond the positions in the table ({} px along the rows, {} px along the columns): stage or \
-         array moved during the scan, or the axes of the stage are not square or count differently. Let the stage \
+        "the foci {motion}, beyond the positions in the table ({} px along the rows, {} px along the columns): stage \
+         or array moved during the scan, or the axes of the stage are not square or count differently. Let the stage \
          settle and warm up, and scan again; scanning in random order keeps a drift from looking like distortion",
         with_error_signed(row, d.sigma_px[0], 2),
         with_error_signed(col, d.sigma_px[1], 2)

@@ -75,7 +75,8 @@ pub fn look(session: &Session, step: &mut dyn FnMut()) -> Result<(Vec<Finding>, 
     Ok((findings, levels))
 }
 
-/// Reads a sample of a stack. All of its frames are looked at for constant ones, if that is wanted and it is not too long.
+/// Reads a sample of a stack. All of its frames are looked at for constant ones, if that is wanted and it is not too
+/// long.
 fn read(stack: &Stack, top: f32, whole: bool, step: &mut dyn FnMut()) -> Result<StackLevels, SessionError> {
     let mut reader = stack.frames()?;
     let mut found = StackLevels {

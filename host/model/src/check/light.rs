@@ -71,8 +71,8 @@ pub(super) fn drift(scan: &Scan) -> Vec<Finding> {
     findings
 }
 
-/// Change of the light from the first to the last third of the scan, relative to the usual light, beside what it owes to
-/// the distance from the middle of the scan. None where that cannot be fitted.
+/// Change of the light from the first to the last third of the scan, relative to the usual light, beside what it owes
+/// to the distance from the middle of the scan. None where that cannot be fitted.
 fn change(scan: &Scan) -> Option<f64> {
     let light: Vec<f64> = scan.frames.iter().map(|f| f.total_dn).collect();
     let typical = middle(&light);

@@ -26,8 +26,8 @@ pub struct Args {
     /// Folder of the measured session
     session: PathBuf,
     /// Write a picture to this PNG file: the foci of some bead frames that by the table draw a letter F behind each
-    /// lens. Rings show where the table puts them, dots where they were found; a line joins the two where they disagree.
-    /// Of a session whose bead frames show nothing, or without any: the mean of some frames
+    /// lens. Rings show where the table puts them, dots where they were found; a line joins the two where they
+    /// disagree. Of a session whose bead frames show nothing, or without any: the mean of some frames
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
 }

@@ -235,8 +235,8 @@ impl Strict {
     }
 }
 
-/// Names the verb in the figures for programs, so that a file of them says what it is. Figures that name one already, and
-/// lists, stay as they are.
+/// Names the verb in the figures for programs, so that a file of them says what it is. Figures that name one already,
+/// and lists, stay as they are.
 pub(super) fn named(result: anyhow::Result<Outcome>, verb: &str) -> anyhow::Result<Outcome> {
     let name = |json: &mut serde_json::Value| {
         if let Some(fields) = json.as_object_mut() {

@@ -39,8 +39,8 @@ impl SessionSource {
     }
 }
 
-/// What a person should know of the frames of a stack: what the table marks as damaged, and what is damaged or missing in
-/// the recording that it refers to.
+/// What a person should know of the frames of a stack: what the table marks as damaged, and what is damaged or missing
+/// in the recording that it refers to.
 fn of_frames(stack: &Stack) -> anyhow::Result<Vec<String>> {
     let (_, notes) = times_and_notes(&stack.frames()?);
     let marked = stack.damaged_note("they are shown as they are");

@@ -27,8 +27,8 @@ pub(super) struct InPixels<'a> {
 }
 
 impl InPixels<'_> {
-    /// Converts them to micrometres from the centre of the grid. They are counted from the centre where one is negative,
-    /// and from the first pixel where they reach beyond half of the grid.
+    /// Converts them to micrometres from the centre of the grid. They are counted from the centre where one is
+    /// negative, and from the first pixel where they reach beyond half of the grid.
     ///
     /// # Errors
     /// Both, or neither, is the case; or one lies outside the grid.

@@ -65,8 +65,8 @@ pub enum NoiseNote {
     },
     /// The light of the flats is not proportional to what the table says.
     #[error(
-        "the light of the flats is not proportional to exposure times illumination: it falls short by {:.2} % +- {:.2} % \
-         at full scale. The noise of the flats does not show that the sensor bends as much, so that the lamp, the \
+        "the light of the flats is not proportional to exposure times illumination: it falls short by {:.2} % +- {:.2} \
+         % at full scale. The noise of the flats does not show that the sensor bends as much, so that the lamp, the \
          illumination in the table or the exposure may be the cause: no correction is made, and `close` may name this \
          as `nonlinearity` or `exposure_offset`. Measure the light of each level, or take flats at one lamp power with \
          several exposures",
@@ -92,8 +92,8 @@ pub enum NoiseNote {
     },
     /// No frames that determine the read noise.
     #[error(
-        "the read noise is {}, {read_noise_e} e-: simulated noise in dark regions and the weights of faint light depend \
-         on it. {}",
+        "the read noise is {}, {read_noise_e} e-: simulated noise in dark regions and the weights of faint light \
+         depend on it. {}",
         if *given { "the one that was given" } else { "nominal" },
         measure("two dark frames or more", (!given).then_some("--read-noise"))
     )]
