@@ -11,6 +11,8 @@ pub(super) const DARKEST: f64 = 1e-3;
 pub(super) struct Group {
     /// Indices (stack of the role, frame in the stack).
     pub frames: Vec<(usize, usize)>,
+    /// Exposure, ms.
+    pub exposure_ms: f64,
     /// Exposure times illumination, ms; 0 for darks.
     pub dose: f64,
 }
@@ -23,11 +25,32 @@ pub(super) fn groups(session: &Session, role: Role) -> Vec<Group> {
             let key = [info.exposure_ms, if role == Role::Dark { 0.0 } else { info.illumination }];
             match keyed.iter_mut().find(|(k, _)| *k == key) {
                 Some((_, g)) => g.frames.push((s, info.frame)),
-                None => keyed.push((key, Group { frames: vec![(s, info.frame)], dose: key[0] * key[1] })),
+                None => {
+                    let (frames, exposure_ms, dose) = (vec![(s, info.frame)], key[0], key[0] * key[1]);
+                    keyed.push((key, Group { frames, exposure_ms, dose }));
+                }
             }
         }
     }
     keyed.into_iter().map(|(_, g)| g).collect()
+}
+
+/// The darks that show what is in the other frames without light: those whose exposure is nearest to that of the beads,
+/// or else of the flats, or else of the scenes, since dark current grows with it. Of two that are as near the ones with
+/// more frames; single frames only where there is nothing else.
+pub(super) fn darks(session: &Session) -> Option<Group> {
+    let first = |role| session.stacks_of(role).flat_map(Stack::whole).map(|info| info.exposure_ms).next();
+    let lit_ms = [Role::Bead, Role::Flat, Role::Scene].into_iter().find_map(first);
+    let distance = |g: &Group| {
+        let ratio = lit_ms.map_or(0.0, |ms| (g.exposure_ms / ms).ln().abs());
+        // Darks may have an exposure of zero.
+        if ratio.is_nan() { 0.0 } else { ratio }
+    };
+    let few = |g: &Group| g.frames.len() < 2;
+    groups(session, Role::Dark).into_iter().min_by(|a, b| {
+        let by_exposure = few(a).cmp(&few(b)).then(distance(a).total_cmp(&distance(b)));
+        by_exposure.then(b.frames.len().cmp(&a.frames.len()))
+    })
 }
 
 /// Reads the frames of a group and sums their statistics; `step` is called after each frame.

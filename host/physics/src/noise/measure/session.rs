@@ -2,7 +2,7 @@
 
 use super::bend::Bend;
 use super::calibration::{Estimate, MapErrors, NoiseCalibration, NoiseConfig};
-use super::frames::{Background, DARKEST, background_of_beads, darkest, groups, read_group};
+use super::frames::{Background, DARKEST, background_of_beads, darkest, darks, groups, read_group};
 use super::linearity::{LitLevel, Shown, bend};
 use super::notes::{NoiseError, NoiseNote};
 use super::response::{Level, ResponseMap, ResponseSums};
@@ -199,13 +199,10 @@ fn read_noise(
     found
 }
 
-/// Black level, offsets and dark variance, on the exposure with most dark frames; `None` without darks.
+/// Black level, offsets and dark variance; `None` without darks.
 fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut()) -> Result<Option<Dark>, NoiseError> {
-    let groups = groups(session, Role::Dark);
-    let Some(group) = groups.iter().max_by_key(|g| g.frames.len()) else {
-        return Ok(None);
-    };
-    let stats = read_group(session, Role::Dark, group, step)?;
+    let Some(group) = darks(session) else { return Ok(None) };
+    let stats = read_group(session, Role::Dark, &group, step)?;
     let level = stats.summary(0.0, None, saturation_dn);
     let offsets = stats.offsets(level.map(|l| l.variance));
     let frames = group.frames.len() as f64;

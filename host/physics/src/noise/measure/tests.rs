@@ -152,3 +152,37 @@ fn flats_whose_variance_falls_with_the_light_are_refused() {
     let error = gain(&session, &Ok(transfer), &NoiseConfig::default(), &mut Sources::default(), &mut Vec::new());
     assert!(error.unwrap_err().to_string().contains("flat.npy: photon transfer: expected the variance to grow"));
 }
+
+#[test]
+fn the_darks_of_the_exposure_of_the_frames_count_whatever_their_order() {
+    // Without light 4 DN a millisecond above 60 DN; as many darks at 10 ms as at 40 ms.
+    let black = |order: [f64; 2], scenes_ms: f64| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("session");
+        let mut manifest = Testbed::new().manifest;
+        (manifest.sensor.rows, manifest.sensor.cols) = (30, 30);
+        let mut writer = SessionWriter::create(&path, &manifest, Existing::Keep).unwrap();
+        let spec = StackSpec { frames: 4, rows: 30, cols: 30, samples: SampleType::U16, pixel_um: None };
+        let stacks = [(Role::Dark, order[0]), (Role::Dark, order[1]), (Role::Scene, scenes_ms)];
+        for (s, (role, exposure_ms)) in stacks.into_iter().enumerate() {
+            let name = format!("{s}.npy");
+            let mut frames = writer.frames(&name, spec).unwrap();
+            for k in 0..4 {
+                let mut frame = Array2::from_elem((30, 30), 0.0f32);
+                draw_electrons(frame.as_slice_mut().unwrap(), 3.0, &mut rng::stream(3, "dark", 4 * s as u64 + k));
+                frames.push(frame.mapv(|e| (60.0 + 4.0 * exposure_ms as f32 + e).round()).view()).unwrap();
+            }
+            frames.finish().unwrap();
+            writer.add(StackEntry::plain(role, &name, exposure_ms));
+        }
+        writer.finish().unwrap();
+        measure_noise(&Session::open(&path).unwrap(), &NoiseConfig::default(), || {}).unwrap().model.black_level_dn
+    };
+    for order in [[10.0, 40.0], [40.0, 10.0]] {
+        for scenes_ms in [10.0, 12.0, 40.0] {
+            let expected = if scenes_ms < 20.0 { 100.0 } else { 220.0 };
+            let found = black(order, scenes_ms);
+            assert!((found - expected).abs() < 1.0, "{order:?} {scenes_ms}: {found}");
+        }
+    }
+}
