@@ -10,12 +10,6 @@ use ommatidia_session::Role;
 /// Most frames that are named.
 const NAMED: usize = 8;
 
-/// Most pixels of a stack that are read for constant frames; of a longer one the sample is looked at. Bead frames are
-/// read up to this number in any case.
-pub(super) fn most_px(role: Role) -> usize {
-    if role == Role::Bead { 1 << 30 } else { 1 << 28 }
-}
-
 /// The constant frames of a stack, and how many frames were looked at where these are not all.
 pub(super) fn describe(s: &StackLevels) -> Vec<Finding> {
     let mut findings = Vec::new();

@@ -1,6 +1,5 @@
 //! The values of frames: bit depth, saturation, black level, light levels, background, and what is missing.
 
-use super::constant;
 use super::scan::{median, middle};
 use super::{Finding, Severity};
 use ndarray::Array2;
@@ -67,12 +66,17 @@ pub fn look(session: &Session, step: &mut dyn FnMut()) -> Result<(Vec<Finding>, 
     let levels = session.stacks().iter().map(|s| read(s, top, whole, step)).collect::<Result<Vec<_>, _>>()?;
     let mut findings = Vec::new();
     for level in &levels {
-        findings.extend(constant::describe(level));
         findings.extend(codes(level, session));
     }
     findings.extend(black(&levels, session.manifest().sensor.saturation_dn()));
     findings.extend(flats(&levels));
     Ok((findings, levels))
+}
+
+/// Most pixels of a stack that are read for constant frames; of a longer one the sample is looked at. Bead frames are
+/// read up to this number in any case.
+fn most_px(role: Role) -> usize {
+    if role == Role::Bead { 1 << 30 } else { 1 << 28 }
 }
 
 /// Reads a sample of a stack. All of its frames are looked at for constant ones, if that is wanted and it is not too
@@ -97,7 +101,7 @@ fn read(stack: &Stack, top: f32, whole: bool, step: &mut dyn FnMut()) -> Result<
         usable = stack.info().iter().collect();
     }
     let sampled = sample(usable.len());
-    let all = whole && usable.len() * reader.rows() * reader.cols() <= constant::most_px(stack.role());
+    let all = whole && usable.len() * reader.rows() * reader.cols() <= most_px(stack.role());
     let looked = if all { (0..usable.len()).collect() } else { sampled.clone() };
     found.looked = looked.len();
     for (n, info) in looked.into_iter().map(|n| (n, usable[n])) {

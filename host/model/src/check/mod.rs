@@ -141,7 +141,9 @@ impl SessionCheck {
 /// # Errors
 /// A frame cannot be read.
 pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, SessionError> {
-    let (mut findings, levels) = frames::look(session, &mut step)?;
+    let (of_values, levels) = frames::look(session, &mut step)?;
+    let mut findings: Vec<Finding> = levels.iter().flat_map(constant::describe).collect();
+    findings.extend(of_values);
     findings.extend(frames::pixel_sizes(session)?);
     findings.extend(frames::damaged(session));
     findings.extend(recording::losses(session));
