@@ -30,12 +30,12 @@
 //! ```
 
 pub mod array;
-mod constant;
+pub mod constant;
 pub mod depths;
 pub mod drift;
 pub mod frames;
 pub mod hypotheses;
-mod light;
+pub mod light;
 pub mod positions;
 pub mod recording;
 pub mod scan;
