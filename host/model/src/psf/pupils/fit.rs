@@ -1,9 +1,13 @@
 //! Fits pupils to the PSFs of a lens: Levenberg and Marquardt's least squares.
+//!
+//! Where a focus lies is none of the pupil's: distortion of any law displaces it. So the tilt of each place is a value
+//! of its own, projected out of everything else as the light of the place is. A tilt that may only follow the square of
+//! the field is bought by other aberrations where the distortion is a cube.
 
 use super::kernel::{Kernel, Pupil, Waves};
 use super::{EVEN, FUNCTIONS, SQUARES, TERMS, field};
-use ndarray::{Array1, Array2, s};
-use ommatidia_physics::linalg::symmetric_eigen;
+use ndarray::{Array1, Array2, Axis, s};
+use ommatidia_physics::linalg::{least_squares, symmetric_eigen};
 use rayon::prelude::*;
 
 /// Iterations of the fit of one place, of each start over the field, and of the best of them.
@@ -171,26 +175,33 @@ fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], (rounds, edge):
     let functions = start.terms.ncols();
     let unknowns = TERMS * functions + 2;
     let side = places.first()?.window.nrows();
-    let mut now = LensPupil { misfit: misfit(kernel, &start, places), ..start };
+    let mut tilts = vec![[0.0; 2]; places.len()];
+    let mut now = LensPupil { misfit: misfit(kernel, &start, (places, &tilts)), ..start };
     let mut damping = 1e-2;
     for _ in 0..rounds {
         let mut normal = Array2::<f64>::zeros((unknowns, unknowns));
         let mut right = Array1::<f64>::zeros(unknowns);
         let waves = kernel.waves(side, now.radius);
-        for place in places {
-            let (mut rows, off) = slopes_at((kernel, &waves), &now, place, unknowns);
+        let mut own = Vec::with_capacity(places.len());
+        for (place, tilt) in places.iter().zip(&tilts) {
+            let (mut rows, mut off) = slopes_at((kernel, &waves), &now, (place, *tilt), unknowns);
             if edge == Edge::OfDesign {
                 rows.row_mut(TERMS * functions).fill(0.0);
             }
+            own.push(Tilt::out_of(&mut rows, &mut off, functions));
             normal += &rows.dot(&rows.t());
             right += &rows.dot(&off);
         }
         let mut better = None;
         for _ in 0..6 {
-            let stepped = solved(&normal, &right, damping).and_then(|step| moved(&now, &step));
-            let found = stepped.map(|to| LensPupil { misfit: misfit(kernel, &to, places), ..to });
-            if let Some(found) = found.filter(|f| f.misfit < now.misfit) {
-                better = Some(found);
+            let stepped = solved(&normal, &right, damping).and_then(|step| {
+                let tilts: Vec<[f64; 2]> = own.iter().zip(&tilts).map(|(own, tilt)| own.after(&step, *tilt)).collect();
+                Some((moved(&now, &step)?, tilts))
+            });
+            let found =
+                stepped.map(|(to, tilts)| (LensPupil { misfit: misfit(kernel, &to, (places, &tilts)), ..to }, tilts));
+            if let Some((found, moved)) = found.filter(|(f, _)| f.misfit < now.misfit) {
+                (better, tilts) = (Some(found), moved);
                 damping = (damping * 0.3).max(1e-9);
                 break;
             }
@@ -203,17 +214,74 @@ fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], (rounds, edge):
             break;
         }
     }
-    now.misfit.is_finite().then_some(now)
+    now.misfit.is_finite().then(|| with_tilts(now, places, &tilts))
+}
+
+/// A pupil whose tilt follows the tilts of the places as well as its functions of the field can.
+fn with_tilts(mut lens: LensPupil, places: &[Place], tilts: &[[f64; 2]]) -> LensPupil {
+    let functions = lens.terms.ncols();
+    let design = Array2::from_shape_fn((places.len(), functions), |(i, f)| field(places[i].at)[f]);
+    let wanted = Array2::from_shape_fn((places.len(), 2), |(i, k)| tilts[i][k]);
+    if let Ok(found) = least_squares(&design, &wanted) {
+        let mut own = lens.terms.slice_mut(s![..2, ..]);
+        own += &found.t();
+    }
+    lens
+}
+
+/// The tilt of a place, linearised beside all other unknowns.
+struct Tilt {
+    /// Inverse of the Gram matrix of the derivatives by the two tilts.
+    inverse: [[f64; 2]; 2],
+    /// Products of these with the derivatives by all unknowns, [2, unknown].
+    across: Array2<f64>,
+    /// Products of these with what the PSF lacks.
+    lacks: [f64; 2],
+}
+
+impl Tilt {
+    /// Takes what a tilt can make out of the derivatives of a place, [unknown, pixel], and out of what its PSF lacks,
+    /// [pixel]. The tilts of the lens are not fitted beside it.
+    fn out_of(rows: &mut Array2<f64>, off: &mut Array1<f64>, functions: usize) -> Self {
+        // The first function of the field is one.
+        let tilts = rows.select(Axis(0), &[0, functions]);
+        rows.slice_mut(s![..2 * functions, ..]).fill(0.0);
+        let gram = tilts.dot(&tilts.t());
+        let (a, b, d) = (gram[[0, 0]], gram[[0, 1]], gram[[1, 1]]);
+        let determinant = a * d - b * b;
+        let usable = determinant > 1e-9 * a * d;
+        let by = if usable { 1.0 / determinant } else { 0.0 };
+        let inverse = [[d * by, -b * by], [-b * by, a * by]];
+        let (across, lacks) = (tilts.dot(&rows.t()), tilts.dot(off));
+        let it = Self { inverse, across, lacks: [lacks[0], lacks[1]] };
+        let solved = Array2::from_shape_fn((2, 2), |(i, j)| inverse[i][j]).dot(&it.across);
+        *rows -= &solved.t().dot(&tilts);
+        let share = it.solve(it.lacks);
+        off.scaled_add(-share[0], &tilts.row(0));
+        off.scaled_add(-share[1], &tilts.row(1));
+        it
+    }
+
+    fn solve(&self, right: [f64; 2]) -> [f64; 2] {
+        self.inverse.map(|row| row[0] * right[0] + row[1] * right[1])
+    }
+
+    /// The tilt of the place after a step of all other unknowns.
+    fn after(&self, step: &Array1<f64>, tilt: [f64; 2]) -> [f64; 2] {
+        let taken = self.across.dot(step);
+        let moved = self.solve([0, 1].map(|k| self.lacks[k] - taken[k]));
+        [0, 1].map(|k| tilt[k] + moved[k])
+    }
 }
 
 /// Derivatives of the PSF at a place by all unknowns, [unknown, pixel], and what it lacks, [pixel]; the light is free.
 fn slopes_at(
     (kernel, waves): (&Kernel, &Waves),
     lens: &LensPupil,
-    place: &Place,
+    (place, tilt): (&Place, [f64; 2]),
     unknowns: usize,
 ) -> (Array2<f64>, Array1<f64>) {
-    let (psf, slopes) = kernel.psf_and_slopes(waves, &lens.at(place.at));
+    let (psf, slopes) = kernel.psf_and_slopes(waves, &tilted(lens.at(place.at), tilt));
     let flat = |a: &Array2<f64>| Array1::from_iter(a.iter().copied());
     let (model, wanted) = (flat(&psf), flat(&place.window));
     let square = model.dot(&model).max(f64::MIN_POSITIVE);
@@ -259,15 +327,21 @@ fn moved(from: &LensPupil, step: &Array1<f64>) -> Option<LensPupil> {
     (radius <= MOST_RADIUS).then(|| LensPupil { terms: &from.terms + &by, apodisation, radius, misfit: from.misfit })
 }
 
-/// Relative error of the PSFs (root mean square over the places), the light of each place free.
-fn misfit(kernel: &Kernel, lens: &LensPupil, places: &[Place]) -> f64 {
+/// A pupil with more tilt.
+fn tilted(mut pupil: Pupil, tilt: [f64; 2]) -> Pupil {
+    pupil.terms.iter_mut().zip(tilt).for_each(|(term, more)| *term += more);
+    pupil
+}
+
+/// Relative error of the PSFs (root mean square over the places), the light of each place free, with its tilt.
+fn misfit(kernel: &Kernel, lens: &LensPupil, (places, tilts): (&[Place], &[[f64; 2]])) -> f64 {
     let waves = kernel.waves(places.first().map_or(0, |p| p.window.nrows()), lens.radius);
-    let of = |place: &Place| {
-        let model = kernel.psf(&waves, &lens.at(place.at));
+    let of = |(place, tilt): (&Place, &[f64; 2])| {
+        let model = kernel.psf(&waves, &tilted(lens.at(place.at), *tilt));
         let (square, product) = (model.mapv(|v| v * v).sum(), (&model * &place.window).sum());
         place.window.mapv(|v| v * v).sum() - product * product / square.max(f64::MIN_POSITIVE)
     };
-    (places.iter().map(of).sum::<f64>().max(0.0) / places.len() as f64).sqrt()
+    (places.iter().zip(tilts).map(of).sum::<f64>().max(0.0) / places.len() as f64).sqrt()
 }
 
 #[cfg(test)]

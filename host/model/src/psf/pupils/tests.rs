@@ -42,14 +42,20 @@ fn place(i: usize) -> f64 {
 
 /// PSFs of three lenses at the nodes, [lens, node row, node col] windows; `added` to each wavefront.
 fn windows(added: &Wavefront) -> Vec<Array3<f32>> {
+    displaced_windows(added, 0.0)
+}
+
+/// The same with foci that a distortion displaces by `cubic_px` times the cubes of y and x.
+fn displaced_windows(added: &Wavefront, cubic_px: f64) -> Vec<Array3<f32>> {
     let pupil = pupil();
     let (mut scratch, mut psf) = (pupil.scratch(), Psf::default());
     let lens = |l: usize| {
         let mut all = Array3::zeros((NODES * NODES, SIDE, SIDE));
         for (n, mut out) in all.outer_iter_mut().enumerate() {
-            let mut w = wavefront(l, [place(n / NODES), place(n % NODES)]);
+            let at = [place(n / NODES), place(n % NODES)];
+            let mut w = wavefront(l, at);
             w.coefficient.iter_mut().zip(added.coefficient).for_each(|(c, v)| *c += v);
-            pupil.psf(&w, [0.0; 2], &mut scratch, &mut psf);
+            pupil.psf(&w, at.map(|v| cubic_px * v.powi(3)), &mut scratch, &mut psf);
             let skip = (psf.side - SIDE) / 2;
             out.indexed_iter_mut().for_each(|((r, c), v)| *v = 1e3 * psf.share[(r + skip) * psf.side + c + skip]);
         }
@@ -64,10 +70,15 @@ fn calibrated() -> LowRankPsf {
 
 /// A scan at several depths with that defocus for each um, waves rms.
 fn calibrated_at(node_depths_um: Vec<f64>, waves_per_um: f64) -> LowRankPsf {
+    let at_depth = node_depths_um.iter().map(|z| windows(&added(&[(4, waves_per_um * z)]))).collect();
+    of_windows(node_depths_um, at_depth)
+}
+
+/// A calibration of the windows at each depth.
+fn of_windows(node_depths_um: Vec<f64>, at_depth: Vec<Vec<Array3<f32>>>) -> LowRankPsf {
     let (rank, depths) = (12, node_depths_um.len());
     let mut basis = Array4::zeros((3, rank, SIDE, SIDE));
     let mut coefficients = Array5::zeros((3, rank, depths, NODES, NODES));
-    let at_depth: Vec<_> = node_depths_um.iter().map(|z| windows(&added(&[(4, waves_per_um * z)]))).collect();
     for l in 0..3 {
         let all: Vec<_> = at_depth.iter().map(|lenses| lenses[l].view()).collect();
         let flat = concatenate(Axis(0), &all).unwrap();
@@ -94,6 +105,25 @@ fn calibrated_at(node_depths_um: Vec<f64>, waves_per_um: f64) -> LowRankPsf {
 
 fn fitted(psf: &LowRankPsf) -> PupilModel {
     PupilModel::fit(psf, 0, &[false; 3], Scale { magnification: 0.66, pixel_pitch_um: 2.0 }).unwrap()
+}
+
+/// A distortion of the third order displaces foci as no tilt does that is quadratic in the field. Left to the pupils, it
+/// is bought by other aberrations.
+#[test]
+fn where_foci_lie_is_none_of_the_pupils() {
+    let plain = fitted(&calibrated()).summary();
+    let displaced = of_windows(vec![0.0], vec![displaced_windows(&Wavefront::default(), 0.6)]);
+    let found = fitted(&displaced).summary();
+    assert!(found.misfit < 0.03, "{found:?}");
+    assert!((found.cutoff_cycles_per_px / plain.cutoff_cycles_per_px - 1.0).abs() < 0.03, "{found:?} {plain:?}");
+    for (found, plain) in [
+        (found.defocus_waves, plain.defocus_waves),
+        (found.astigmatism_waves, plain.astigmatism_waves),
+        (found.coma_waves, plain.coma_waves),
+        (found.spherical_waves, plain.spherical_waves),
+    ] {
+        assert!((found - plain).abs() < 0.015, "{found} {plain}");
+    }
 }
 
 /// A source off the focus by z has a path longer by z NA^2 / 2 at the rim, NA on its side; the rms of such a wavefront
