@@ -129,6 +129,25 @@ pub enum SessionError {
     },
 }
 
+/// The path in a borrowed error, borrowed in the same way.
+macro_rules! path_of {
+    ($error:expr) => {
+        match $error {
+            Self::Io { path, .. }
+            | Self::Manifest { path, .. }
+            | Self::Version { path, .. }
+            | Self::Value { path, .. }
+            | Self::Missing { path, .. }
+            | Self::Shape { path, .. }
+            | Self::SampleType { path, .. }
+            | Self::Size { path, .. }
+            | Self::Format { path, .. }
+            | Self::Program { path, .. }
+            | Self::Taken { path } => path,
+        }
+    };
+}
+
 impl SessionError {
     pub(super) fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io { path: path.into(), source }
@@ -175,34 +194,12 @@ impl SessionError {
 
     /// The file that the error is of.
     pub fn path(&self) -> &Path {
-        match self {
-            Self::Io { path, .. }
-            | Self::Manifest { path, .. }
-            | Self::Version { path, .. }
-            | Self::Value { path, .. }
-            | Self::Missing { path, .. }
-            | Self::Shape { path, .. }
-            | Self::SampleType { path, .. }
-            | Self::Size { path, .. }
-            | Self::Format { path, .. }
-            | Self::Program { path, .. }
-            | Self::Taken { path } => path,
-        }
+        path_of!(self)
     }
 
     /// The same error of a file that will lie in folder `to` in place of `from`.
     pub(super) fn moved(mut self, from: &Path, to: &Path) -> Self {
-        let (Self::Io { path, .. }
-        | Self::Manifest { path, .. }
-        | Self::Version { path, .. }
-        | Self::Value { path, .. }
-        | Self::Missing { path, .. }
-        | Self::Shape { path, .. }
-        | Self::SampleType { path, .. }
-        | Self::Size { path, .. }
-        | Self::Format { path, .. }
-        | Self::Program { path, .. }
-        | Self::Taken { path }) = &mut self;
+        let path = path_of!(&mut self);
         if let Ok(inner) = path.strip_prefix(from) {
             *path = to.join(inner);
         }

@@ -24,8 +24,6 @@ const STEPS: usize = 7;
 const MOST_STEPS: usize = 25;
 /// A fit ends where the next step would lower chi-squared by less than this, or has lowered the deviance by less.
 const SETTLED: f64 = 0.02;
-/// A step that promised less than this is the last one.
-const LAST: f64 = 0.3;
 /// A step that does not lower the deviance ends the fit where it would lower chi-squared by less than this.
 const SLIGHT: f64 = 2.0;
 /// A fit goes on beyond [`STEPS`] as long as a step takes this share of the excess of chi-squared over the noise.
@@ -178,9 +176,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
             (state, at) = (proposal, next);
             damping *= 0.2;
             let excess = (at.training.chi2 - at.training.pixels).max(0.0);
-            // Steps shrink fast, and where the frames are linear in the values, one leaves nothing to come.
-            let last = expected_fall < LAST || (fall - expected_fall).abs() < SETTLED;
-            if fall < SETTLED || last || step + 1 >= STEPS && fall < WORTH * excess {
+            if fall < SETTLED || step + 1 >= STEPS && fall < WORTH * excess {
                 break;
             }
             slope = at.slope(model, &state, &columns)?;

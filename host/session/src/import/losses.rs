@@ -102,7 +102,7 @@ impl Losses {
             None => {
                 let unread = parts.iter().filter(|p| !filled && p.listed == 0).count();
                 let of_files = losses.missing_files.len() * if filled { full } else { 1 } + unread;
-                let of_short: usize = short.iter().map(|(_, frames, full)| full - frames).sum();
+                let of_short: usize = short.iter().map(|(_, frames, full)| full.saturating_sub(*frames)).sum();
                 let elsewhere = torn.iter().filter(|t| short.iter().all(|(file, ..)| *file != t.file)).count();
                 of_files + of_short + elsewhere
             }

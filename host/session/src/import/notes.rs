@@ -10,9 +10,8 @@ pub fn notes_on(frames: &FrameReader) -> Vec<String> {
     if !others.is_empty() {
         let named = others.iter().take(3).cloned().collect::<Vec<_>>().join(", ");
         let more = if others.len() > 3 { format!(" and {} more", others.len() - 3) } else { String::new() };
-        let (are, left) =
-            (if others.len() == 1 { "is a video" } else { "are videos" }, "of another camera and left out");
-        notes.push(format!("{}: {named}{more} {are} {left}", frames.path().display()));
+        let are = if others.len() == 1 { "is a video" } else { "are videos" };
+        notes.push(format!("{}: {named}{more} {are} of another camera and left out", frames.path().display()));
     }
     let limited: Vec<_> = frames.parts().iter().filter(|part| part.limited).collect();
     if let Some(first) = limited.first() {
