@@ -2,47 +2,17 @@
 
 use super::source::{Description, Group, Pane, Picture, Plane, Source};
 use ommatidia_report::{Look, Pixels};
-use ommatidia_session::import::{Times, notes_on, times_of};
-use ommatidia_session::{FrameReader, ObjectGrid, Part, SampleType, SensorSpec};
+use ommatidia_session::import::{Times, losses_of, notes_on, times_or_why};
+use ommatidia_session::{FrameReader, ObjectGrid, SampleType, SensorSpec};
 use std::path::Path;
 
-/// Parts of a recording whose damage is told one by one.
-const TOLD: usize = 12;
-
-/// The times of the frames of a recording, and what a person should know of it: what is damaged or missing.
+/// The times of the frames of a recording, and what a person should know of it: what is lost of it, and what was found in
+/// its files.
 pub(super) fn times_and_notes(reader: &FrameReader) -> (Option<Times>, Vec<String>) {
-    let damage = |part: &Part| {
-        let file = part.path.file_name().unwrap_or_default().to_string_lossy();
-        part.damage.as_ref().map(|damage| format!("{file}: {damage}"))
-    };
-    let mut notes: Vec<String> = reader.parts().iter().filter_map(damage).collect();
-    let (torn, empty) =
-        reader.parts().iter().fold((0, 0), |(torn, empty), p| (torn + p.torn.len(), empty + p.empty.len()));
-    if notes.len() > TOLD {
-        let more = notes.split_off(TOLD).len();
-        notes.push(format!("{more} more files are damaged"));
-    }
-    for (count, what) in [(torn, "torn"), (empty, "without data")] {
-        match count {
-            0 => {}
-            1 => notes.push(format!("1 frame is {what}: it is left out")),
-            _ => notes.push(format!("{count} frames are {what}: they are left out")),
-        }
-    }
-    notes.extend(notes_on(reader));
-    let times = match times_of(reader) {
-        Ok(times) => times,
-        Err(e) => {
-            notes.push(format!("the times of the frames are not shown: {e}"));
-            None
-        }
-    };
+    let (times, unread) = times_or_why(reader).unwrap_or_else(|e| (None, Some(format!("{e}; its times are left out"))));
+    let mut notes = losses_of(reader).map_or_else(|_| Vec::new(), |losses| losses.warnings(reader.path()));
+    notes.extend(unread.into_iter().chain(notes_on(reader)));
     notes.extend(times.iter().flat_map(Times::table_notes));
-    let gaps = times.as_ref().map_or(0, |times| times.gaps.len());
-    if gaps > 0 {
-        let places = if gaps == 1 { "one place".into() } else { format!("{gaps} places") };
-        notes.push(format!("frames are missing at {places}, by their timestamps"));
-    }
     (times, notes)
 }
 
