@@ -5,7 +5,6 @@
 //! line is `N passed, N failed, N skipped`.
 
 mod counts;
-mod disk;
 mod python;
 mod steps;
 mod toolchain;
