@@ -112,6 +112,7 @@ fn adopt(instrument: &mut Instrument, missing: Missing, found: NoiseCalibration)
         instrument.offset_dn = found.offset_dn;
         instrument.reading_dn2 = found.reading_dn2;
         instrument.quality.maps.offset_dn = found.map_errors.offset_dn;
+        instrument.quality.maps.reading = found.map_errors.reading;
         what.extend(["black level", "read noise", "the offset of each pixel"]);
     }
     if let Some(response) = found.response.filter(|_| missing.responses) {

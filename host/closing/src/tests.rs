@@ -53,6 +53,7 @@ fn observations(instrument: &Instrument, terms: &[Term]) -> Observations {
         held_out_blocks: vec![false; 4],
         sensor: SENSOR,
         recorded: 0,
+        not_estimated: None,
     };
     let made: Vec<Array2<f32>> = {
         let model = Model::new(instrument, &seen).unwrap();

@@ -51,10 +51,20 @@ fn closed_with(
     effect: Option<EffectSetting>,
     seed: u64,
 ) -> Closing {
-    let effects: Vec<EffectSetting> = effect.into_iter().collect();
+    closed_of(instrument, config, roles, &effect.into_iter().collect::<Vec<_>>(), seed)
+}
+
+/// The same with any number of effects.
+fn closed_of(
+    instrument: &Instrument,
+    config: &BenchConfig,
+    roles: &[Role],
+    effects: &[EffectSetting],
+    seed: u64,
+) -> Closing {
     let folder = tempfile::tempdir().unwrap();
     let dir = folder.path().join("session");
-    config.build_like(&subject().bench, &effects).unwrap().measure_some(&dir, seed, roles, |_| ()).unwrap();
+    config.build_like(&subject().bench, effects).unwrap().measure_some(&dir, seed, roles, |_| ()).unwrap();
     let mut seen = Observations::read(&Session::open(&dir).unwrap(), &Budget::default()).unwrap();
     let options = CloseOptions { seed: 1, ..CloseOptions::default() };
     let closing = close(instrument, &mut seen, &options, |_| ()).unwrap().account.closing;
@@ -72,6 +82,22 @@ fn is_named(closing: &Closing, id: &str, params: &[(&str, f64)]) {
         let found = closing.effects[0].params.iter().find(|p| p.name == *name).unwrap();
         let room = 0.1 * truth.abs() + 5.0 * found.sigma;
         assert!((found.value - truth).abs() < room, "{id} {name}: {} +- {}", found.value, found.sigma);
+    }
+}
+
+/// Asserts that two effects at once are named, and nothing else.
+fn both_are_named(effects: [(&str, &[(&str, f64)]); 2], seed: u64) {
+    let settings = effects.map(|(id, params)| EffectSetting::new(id, params));
+    let closing = closed_of(&subject().instrument, &subject().config, &WHOLE, &settings, seed);
+    let mut names: Vec<&str> = closing.effects.iter().map(|e| e.id.as_str()).collect();
+    names.sort_unstable();
+    assert_eq!(names, effects.map(|(id, _)| id));
+    for (id, params) in effects {
+        let found = closing.effects.iter().find(|e| e.id == id).unwrap();
+        for (name, truth) in params {
+            let p = found.params.iter().find(|p| p.name == *name).unwrap();
+            assert!((p.value - truth).abs() < 0.1 * truth.abs() + 5.0 * p.sigma, "{id}: {} +- {}", p.value, p.sigma);
+        }
     }
 }
 
@@ -114,6 +140,24 @@ fn a_drift_of_the_lamp_is_named_whatever_held_out_scenes_say() {
         );
         assert_eq!(closing.effects[0].added, closing.after != closing.before);
     }
+}
+
+/// Each brightens the frames where the other one darkens them, so that neither explains them alone.
+#[test]
+fn two_effects_that_hide_each_other() {
+    both_are_named([("exposure_offset", &[("dt_ms", 0.4)]), ("nonlinearity", &[("beta", 0.1)])], 970);
+}
+
+/// The first name is that of an effect which resembles the sum of both.
+#[test]
+fn two_effects_whose_sum_resembles_a_third() {
+    both_are_named([("excitation_profile", &[("falloff", 0.15)]), ("vignetting", &[("v", 0.18)])], 971);
+}
+
+/// The weaker one explains less than 3 % of what the stronger one does.
+#[test]
+fn an_effect_in_the_shadow_of_another_kind() {
+    both_are_named([("chief_ray_response", &[("c_per_mm2", 15.0)]), ("pixel_mosaic", &[("checker", 0.03)])], 972);
 }
 
 /// A curve bends the noise along with the light, so that chi-squared with the noise of a straight camera says little.

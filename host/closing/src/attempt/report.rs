@@ -8,7 +8,7 @@ use crate::account::{
     Accepted, Closed, Closing, Effect, Findings, Judged, Left, Names, Nearest, ROW_NOISE, Verdict, effects, harmful,
     imitated, pictured, registrations, rejected, shadowed,
 };
-use crate::evidence::{compared, curves, noise_left, structured};
+use crate::evidence::{compared, curves, noise_left, structured, structured_mean};
 use crate::fit::{Model, PUPIL_DEFOCUS, State, Term, estimated_frames, rhythm};
 use crate::options::{CloseError, CloseOptions};
 use crate::plan::{self, plan};
@@ -96,9 +96,9 @@ pub(super) fn report(
     Ok(Attempt { closed, state: settled.now.state })
 }
 
-/// What is left of the excess, where tests see structure.
+/// What is left of the excess, where tests see structure in the mean of the frames: that of the noise errs no optics.
 fn left(basis: &Basis<'_>, settled: &Settled) -> Left {
-    if structured(&settled.dependences) { basis.left(&settled.now) } else { Left::default() }
+    if structured_mean(&settled.dependences) { basis.left(&settled.now) } else { Left::default() }
 }
 
 /// Relative error of the PSFs in the frames of the optics.

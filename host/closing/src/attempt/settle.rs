@@ -3,7 +3,7 @@
 use super::basis::{Basis, Given};
 use super::views::Views;
 use crate::data::{Fault, Observations};
-use crate::evidence::{Constancy, Dependence, Test, figures, structured};
+use crate::evidence::{Constancy, Dependence, Test, figures, structured_mean};
 use crate::fit::{Fitted, Model, Term, refit};
 use crate::options::{CloseError, CloseOptions};
 use crate::search::{
@@ -76,17 +76,14 @@ pub(super) fn settle(
     search.exclude.extend(lost.iter().map(|id| id.to_string()));
     search.trial_deviance = options.trial_calibration.map(|trial| held_out_deviance(trial, model.seen)).transpose()?;
     search.run(Tried::Catalogue, progress)?;
-    let mut dependences = match search.found.is_empty() {
-        true => basis.dependences.clone(),
-        false => basis.dependences_of(&search.now)?,
-    };
+    let mut dependences = revised(basis, &mut search, progress)?;
     let mut rest = std::mem::take(&mut search.rest);
-    let ended = search.needs_calibration() || search.truths_are_too_blurred();
+    let ended = has_ended(&search);
     let mut views = None;
     // Truths that are placed one by one are placed already.
     let one_by_one = model.seen.registrations.iter().any(|r| r.frame.is_some() && r.sigma_px > 0.0);
     let open = !one_by_one && !search.needs_calibration();
-    if open && structured(&dependences) && basis.excess(&search.now).is_much() {
+    if open && structured_mean(&dependences) && basis.excess(&search.now).is_much() {
         progress("views without truths");
         let known = figures(model, &basis.before).chi2_ndf;
         views = Views::of(basis.instrument, model.seen)?;
@@ -96,7 +93,7 @@ pub(super) fn settle(
         }
         views = views.filter(|v| v.agree(known));
     }
-    if structured(&dependences) && !ended {
+    if structured_mean(&dependences) && !ended {
         progress("terms without a name");
         search.run(Tried::Maps, progress)?;
         search.run(Tried::Curves, progress)?;
@@ -104,7 +101,7 @@ pub(super) fn settle(
     }
     let recalibrated = search.needs_calibration();
     let mut imitations = Vec::new();
-    if !ended && structured(&dependences) {
+    if !ended && structured_mean(&dependences) {
         imitations = without_imitations(basis, &mut search, given.exclude, progress)?;
     }
     // What stands for a new calibration is judged by what that gains, and not by its own form.
@@ -126,7 +123,8 @@ pub(super) fn settle(
     }
     let closed = closed.unwrap_or_else(|| now.clone());
     found.iter_mut().for_each(|f| f.or_untested(&rest));
-    let out = Out { imitations, removed, taken_back, shadowed: search.shadowed };
+    let in_shadow = search.shadowed.into_iter().filter(|s| !found.iter().any(|f| f.id == s.id));
+    let out = Out { imitations, removed, taken_back, shadowed: in_shadow.collect() };
     let terms = out.terms();
     if !terms.is_empty() {
         dependences = basis.dependences_of(&now)?;
@@ -153,6 +151,48 @@ pub(super) fn settle(
         out,
     };
     Ok(End::Settled(Box::new(settled)))
+}
+
+/// Whether nothing else can be found beside what was found.
+fn has_ended(search: &Search<'_, '_>) -> bool {
+    search.needs_calibration() || search.truths_are_too_blurred()
+}
+
+/// Revises what was found in the catalogue one by one: exchanges effects for better ones, and where structure is left,
+/// adds two that hide each other, or those that are no error of a stronger one. Gives the structure that is left.
+fn revised(
+    basis: &Basis<'_>,
+    search: &mut Search<'_, '_>,
+    progress: &mut impl FnMut(&str),
+) -> Result<Vec<Dependence>, ForwardError> {
+    if !has_ended(search) {
+        search.exchange(progress)?;
+    }
+    let mut dependences = match search.found.is_empty() {
+        true => basis.dependences.clone(),
+        false => basis.dependences_of(&search.now)?,
+    };
+    let is_noise = |fit: &Fitted| Ok(!structured_mean(&basis.dependences_of(fit)?));
+    for step in [Revision::Pair, Revision::Shadow] {
+        if has_ended(search) || !structured_mean(&dependences) {
+            break;
+        }
+        let added = match step {
+            Revision::Pair => search.add_pair(progress)?,
+            Revision::Shadow => search.out_of_the_shadow(is_noise, progress)?,
+        };
+        if added {
+            search.exchange(progress)?;
+            dependences = basis.dependences_of(&search.now)?;
+        }
+    }
+    Ok(dependences)
+}
+
+/// What may be added where the search one by one has left structure.
+enum Revision {
+    Pair,
+    Shadow,
 }
 
 impl Out {

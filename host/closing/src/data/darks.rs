@@ -74,6 +74,7 @@ mod tests {
             held_out_blocks: Vec::new(),
             sensor: [64, 64],
             recorded: 0,
+            not_estimated: None,
         };
         bright_darks(&seen, &NoiseModel::nominal())
     }

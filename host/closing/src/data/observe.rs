@@ -93,6 +93,8 @@ pub struct Observations {
     pub sensor: [usize; 2],
     /// Frames of unknown specimens in the session; `frames` may hold some of them only.
     pub recorded: usize,
+    /// Why the specimens of such frames were not estimated, if they could not be.
+    pub not_estimated: Option<String>,
 }
 
 impl Observations {
@@ -153,7 +155,17 @@ impl Observations {
                 [row, col] => (3 * row + col) % 8 == 5,
             })
             .collect();
-        Ok(Self { frames, truths, registrations, pixels, blocks, held_out_blocks, sensor, recorded })
+        Ok(Self {
+            frames,
+            truths,
+            registrations,
+            pixels,
+            blocks,
+            held_out_blocks,
+            sensor,
+            recorded,
+            not_estimated: None,
+        })
     }
 
     /// Index of the registration of frame `k`'s truth; None: it has no truth.

@@ -30,6 +30,7 @@ pub(crate) use figures::{
 };
 pub(crate) use omnibus::noise_left;
 pub use omnibus::structured;
+pub(crate) use omnibus::structured_mean;
 pub(crate) use placement::{Placement, placement};
 pub use score::{Scores, Test};
 pub use stats::{f_tail, holm};

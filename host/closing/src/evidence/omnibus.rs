@@ -57,6 +57,11 @@ pub fn structured(dependences: &[Dependence]) -> bool {
     any
 }
 
+/// The same of the mean of the frames: structure in the noise of repeats is none of the optics.
+pub(crate) fn structured_mean(dependences: &[Dependence]) -> bool {
+    significant(dependences).any(|d| d.covariate != Covariate::Repeats)
+}
+
 /// Share of the structure in the noise of repeated frames that is left, of that before; 0 where what is left is not
 /// significant.
 pub(crate) fn noise_left(before: &[Dependence], after: &[Dependence]) -> f64 {

@@ -27,5 +27,6 @@ pub(crate) fn map_errors(model: &Model<'_>, state: &State) -> MapErrors {
     MapErrors {
         response: of(TableUse::Response, model.maps.response),
         offset_dn: of(TableUse::Offset, model.maps.offset_dn),
+        reading: model.maps.reading,
     }
 }

@@ -242,6 +242,7 @@ mod tests {
             held_out_blocks: Vec::new(),
             sensor: [96, 96],
             recorded: 0,
+            not_estimated: None,
         };
         (observations, (0..6).map(seen).collect())
     }

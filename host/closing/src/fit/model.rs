@@ -52,6 +52,8 @@ pub struct Model<'a> {
     /// Whether the session may have a background of its own: the beads of the calibration had one. Its strength is then
     /// a nuisance, and no effect of the instrument.
     pub has_background: bool,
+    /// Which lenses show light.
+    live: Vec<bool>,
     /// The grid that truths live on.
     pub(crate) grid: Grid,
     /// Relative error of the PSFs in the frame of a single bead, without noise: nothing averages it there.
@@ -89,6 +91,7 @@ impl<'a> Model<'a> {
             seen,
             maps: instrument.quality.maps,
             has_background: instrument.quality.background.is_some_and(|b| b.is_seen()),
+            live: instrument.geometry.dead.iter().map(|dead| !dead).collect(),
             grid: Grid::of(instrument),
             psf_error: quality.bead_error().min(MOST_PSF_ERROR),
             coarse_error: if quality.is_coarse() { quality.off_grid_excess() } else { 0.0 },
@@ -177,7 +180,7 @@ impl<'a> Model<'a> {
     /// ([`ommatidia_physics::effects::Effect::gauge`]).
     pub fn gauged(&self, mut state: State) -> State {
         for t in &mut state.terms {
-            let factor = t.effect.gauge(&mut t.params);
+            let factor = t.effect.gauge(&mut t.params, &self.live);
             let scenes = self.seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_)));
             let stacks: std::collections::BTreeSet<usize> = scenes.map(|f| f.stack).collect();
             stacks.into_iter().for_each(|s| state.scale[s] *= factor);

@@ -142,8 +142,21 @@ fn excess(model: &Model<'_>, state: &State, now: &[Predicted], level: &Level, ba
         true => noise_features(model, &in_weights(model, state), level, now),
         false => base,
     };
-    let expected: Features = std::array::from_fn(|f| base[f] - plain[f]);
+    let mut expected: Features = std::array::from_fn(|f| base[f] - plain[f]);
+    expected[TAILS] += by_uncertain_variances(model, now, level);
     (std::array::from_fn(|f| measured[f] - expected[f]), expected)
+}
+
+/// Excess kurtosis of normal noise in units of variances that err pixel by pixel, as those of few darks do: three times
+/// the mean square of their relative errors. 0 for an unknown specimen.
+fn by_uncertain_variances(model: &Model<'_>, now: &[Predicted], level: &Level) -> f64 {
+    let (Some((a, _)), Some(reading)) = (level.pairs.first(), model.forward.reading_dn2()) else { return 0.0 };
+    if level.unknown {
+        return 0.0;
+    }
+    let share2 = |(v, w): (&f32, &f32)| f64::from(v * w * w).powi(2);
+    let shares = reading.iter().zip(&now[*a].inverse_sigma).map(share2);
+    3.0 * model.maps.reading.powi(2) * shares.sum::<f64>() / reading.len().max(1) as f64
 }
 
 /// The effects whose noise the weights of the residuals hold: those that bend it with the light, and no others.

@@ -263,6 +263,7 @@ fn empty(seen: &Observations) -> Observations {
         held_out_blocks: seen.held_out_blocks.clone(),
         sensor: seen.sensor,
         recorded: 0,
+        not_estimated: None,
     }
 }
 

@@ -97,7 +97,9 @@ const SESSIONS: u64 = 16;
 
 /// Plans on scenes alone; then the virtual instrument measures scenes with what was advised. The error of the effect
 /// beside the other (its strength over the separation) must be as expected, within 30 %: that of the longer session
-/// (noise and calibration), and the scatter of the estimates of many sessions, both effects fitted (noise alone).
+/// (noise and calibration). The scatter of the estimates of many sessions, both effects fitted (noise alone), must not
+/// be more than that, and may be half of it: the error holds that of the drawn noise which features are compared with,
+/// and that is the same in all sessions.
 fn is_kept_to(pair: &Pair, advised: &BenchConfig) {
     let Subject { config, instrument, .. } = subject();
     let sharp = Instrument { replicates: Vec::new(), ..instrument.clone() };
@@ -132,7 +134,7 @@ fn is_kept_to(pair: &Pair, advised: &BenchConfig) {
     let mean = estimates.iter().sum::<f64>() / n;
     let scatter = (estimates.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0)).sqrt();
     eprintln!("{}: scatter {:.2e} expected, {scatter:.2e} found about {mean:.2e}", pair.by, errors[1]);
-    assert!((scatter / errors[1] - 1.0).abs() < 0.3, "{scatter} for {}", errors[1]);
+    assert!((0.5..1.3).contains(&(scatter / errors[1])), "{scatter} for {}", errors[1]);
 }
 
 #[test]

@@ -2,8 +2,9 @@
 
 use super::candidate::{Candidate, PENALTY};
 use super::finalists::{alike, of_jumps};
+use crate::evidence::Test;
 use crate::fit::repeats::wings;
-use crate::fit::{Fitted, Model, State, refit, refit_from};
+use crate::fit::{Fitted, Model, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 use std::collections::BTreeMap;
@@ -17,7 +18,7 @@ const WEAK_TRACE: f64 = 1e-2;
 const FIVE_SIGMA: f64 = 25.0;
 
 /// How much less of a gain a simpler effect may explain.
-fn trace(gain: f64) -> f64 {
+pub(super) fn trace(gain: f64) -> f64 {
     (TRACE * gain).max((WEAK_TRACE * gain).min(FIVE_SIGMA))
 }
 
@@ -36,6 +37,33 @@ pub(super) fn with(model: &Model<'_>, state: &State, candidate: &Candidate) -> S
     }
     next.terms.push(term);
     next
+}
+
+/// A state, fitted from a fit that differs from it by some terms. The light of the objects is that of the fit, unless
+/// one of the terms changes it.
+pub(super) fn fitted_beside(
+    model: &Model<'_>,
+    state: State,
+    fit: &Fitted,
+    terms: &[Term],
+) -> Result<Fitted, ForwardError> {
+    match terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object) {
+        true => refit(model, state),
+        false => refit_from(model, state, fit.scenes.clone()),
+    }
+}
+
+/// The smallest share that one of some fits leaves of the excess of chi-squared of another.
+pub(super) fn excess_left<'f>(before: &Fitted, fits: impl IntoIterator<Item = &'f Fitted>) -> f64 {
+    let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels).max(0.0);
+    let least = fits.into_iter().map(excess).fold(f64::INFINITY, f64::min);
+    if excess(before) > 0.0 { (least / excess(before)).min(1.0) } else { 1.0 }
+}
+
+/// By how much more than noise the evidence of a test scatters between clusters, where `left` of the excess is left by
+/// the best fit: what that removes was scatter of the effect itself.
+pub(super) fn weight(test: Option<&Test>, left: f64) -> f64 {
+    1.0 + left * test.map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0))
 }
 
 /// Result of the full fits.
@@ -122,12 +150,7 @@ impl FullFits<'_, '_> {
             }
             progress(c.term.id());
             let next = with(self.model, &self.now.state, c);
-            let emission = c.term.effect.descriptor().stage == Stage::Object;
-            let fit = if emission {
-                refit(self.model, next)?
-            } else {
-                refit_from(self.model, next, self.now.scenes.clone())?
-            };
+            let fit = fitted_beside(self.model, next, self.now, std::slice::from_ref(&c.term))?;
             tracing::info!("  fitted {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
             fits.push((c.term.id(), fit));
         }
@@ -135,11 +158,8 @@ impl FullFits<'_, '_> {
         // The scatter between clusters and the errors of the calibration weight the full fits as they do the scores,
         // with one weight for all: an effect with many parameters must not win by fitting errors of the calibration.
         // What the best of the fits removes was scatter of the effect itself, which is no such error.
-        let excess = |fit: &Fitted| (fit.training.chi2 - fit.training.pixels).max(0.0);
-        let least_excess = fits.iter().map(|(_, fit)| excess(fit)).fold(f64::INFINITY, f64::min);
-        let left = if excess(self.now) > 0.0 { (least_excess / excess(self.now)).min(1.0) } else { 1.0 };
-        let scatter = |c: &Candidate| c.test.as_ref().map_or(0.0, |t| (t.gain / t.t.max(1e-9) - 1.0).max(0.0));
-        let weight = |c: &Candidate| 1.0 + left * scatter(c);
+        let left = excess_left(self.now, fits.iter().map(|(_, fit)| fit));
+        let weight = |c: &Candidate| weight(c.test.as_ref(), left);
         let heaviest = finalists.iter().map(|c| weight(c)).fold(1.0, f64::max);
         let price = |c: &Candidate| PENALTY * c.columns.len() as f64;
         let worth = |c: &Candidate, cost: f64| (price(c) * heaviest - cost) / weight(c) - price(c);
@@ -164,7 +184,9 @@ impl FullFits<'_, '_> {
         // that explains all but a trace is the simpler account.
         if let Some((_, strongest)) = best {
             let trace = trace(-least);
-            let simpler = |c: &&&Candidate| c.table.is_none() && c.values() < strongest.values() && alike(strongest, c);
+            let simpler = |c: &&&Candidate| {
+                c.table.is_none() && c.values() < strongest.values() && alike(&strongest.term, &c.term)
+            };
             let cost = |c: &Candidate| costs.iter().find(|(id, _)| *id == c.term.id()).map(|(_, cost)| *cost);
             let near = finalists.iter().filter(simpler).filter_map(|c| Some((cost(c)?, *c)));
             let simplest = near.filter(|(cost, _)| cost - least < trace).min_by(|a, b| a.0.total_cmp(&b.0));

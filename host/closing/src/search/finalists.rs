@@ -2,6 +2,7 @@
 
 use super::candidate::{AMBIGUOUS, Candidate};
 use crate::evidence::Test;
+use crate::fit::Term;
 use crate::fit::repeats::noisy;
 
 /// Number of the best candidates that are fitted in full.
@@ -32,7 +33,7 @@ pub(super) fn finalists<'c>(able: &[&'c Candidate]) -> Vec<&'c Candidate> {
         chosen.extend(able.iter().find(of_mean).copied());
     }
     if let Some(best) = chosen.first().copied() {
-        let similar = |c: &Candidate| chosen.iter().any(|b| alike(b, c));
+        let similar = |c: &Candidate| chosen.iter().any(|b| alike(&b.term, &c.term));
         // What makes wings is open only where repeats show wings, and rare large jumps are far from what the score of
         // small ones expects.
         let near = |c: &&&Candidate| (gain(c) > 0.2 * gain(best) || c.term.effect.makes_wings()) && similar(c);
@@ -74,8 +75,8 @@ pub(super) fn of_jumps<'c>(
 }
 
 /// Whether the catalogue lists two effects as similar.
-pub(super) fn alike(a: &Candidate, b: &Candidate) -> bool {
-    let says = |a: &Candidate, b: &Candidate| a.term.effect.descriptor().lookalikes.iter().any(|l| l.id == b.term.id());
+pub(super) fn alike(a: &Term, b: &Term) -> bool {
+    let says = |a: &Term, b: &Term| a.effect.descriptor().lookalikes.iter().any(|l| l.id == b.id());
     says(a, b) || says(b, a)
 }
 
@@ -98,7 +99,6 @@ pub(super) fn by_sharpness(candidates: &mut [Candidate]) {
 #[allow(clippy::unwrap_used)]
 mod tests {
     use super::*;
-    use crate::fit::Term;
     use ndarray::Array2;
     use ommatidia_physics::effects::find;
 

@@ -72,16 +72,17 @@ pub(crate) fn score(
 
 /// Sets the evidence of a single strength to zero if its estimate has the forbidden sign.
 fn one_sided(model: &Model<'_>, term: &Term, mut test: Test) -> Test {
-    if term.is_far(model.lenses()) {
-        return test;
-    }
-    let strengths = term.strengths(model.lenses());
-    let expanded = term.expanded(model.lenses());
-    let impossible = |i: usize| expanded[strengths[i]].1.forbidden_side() * test.theta[i] > 0.0;
-    if test.theta.len() == 1 && impossible(0) {
+    if !is_possible(model, term, &test.theta) {
         test.discard();
     }
     test
+}
+
+/// Whether the sign of a single strength is one that its effect can have. A far start has its own.
+pub(super) fn is_possible(model: &Model<'_>, term: &Term, theta: &[f64]) -> bool {
+    let &[theta] = theta else { return true };
+    let (strengths, expanded) = (term.strengths(model.lenses()), term.expanded(model.lenses()));
+    term.is_far(model.lenses()) || expanded[strengths[0]].1.forbidden_side() * theta <= 0.0
 }
 
 /// Candidates with an estimated table.

@@ -59,8 +59,8 @@ struct Refused {
 
 /// A search in progress.
 pub struct Search<'m, 'a> {
-    model: &'m Model<'a>,
-    replicas: &'m Replicas,
+    pub(super) model: &'m Model<'a>,
+    pub(super) replicas: &'m Replicas,
     /// The present state, fitted.
     pub now: Fitted,
     /// Effects that were added so far.
@@ -70,7 +70,7 @@ pub struct Search<'m, 'a> {
     /// Excess of chi-squared over the noise on held-out data before the search.
     first_excess: f64,
     /// The largest fall of the training deviance by an effect so far; 0 without one.
-    strongest_fall: f64,
+    pub(super) strongest_fall: f64,
     /// Effects that would improve the fit, by less than what the law of a stronger effect may leave.
     pub shadowed: Vec<Shadowed>,
     /// Ids of effects that are not tried.
@@ -114,7 +114,7 @@ impl<'m, 'a> Search<'m, 'a> {
     }
 
     /// All candidates with their evidence beside the present state, the best first.
-    fn candidates(&self, tried: Tried) -> Result<Vec<Candidate>, ForwardError> {
+    pub(super) fn candidates(&self, tried: Tried) -> Result<Vec<Candidate>, ForwardError> {
         let mut terms = tried.terms(self.model, &self.now.state, &evidence(self.model, &self.now));
         let excluded = |id: &str| self.exclude.iter().any(|e| e == id);
         terms.retain(|t| !excluded(t.id()));
@@ -239,6 +239,15 @@ impl<'m, 'a> Search<'m, 'a> {
         FEIGNED * self.model.coarse_error.powi(2) * objects.map(squared_light).sum::<f64>()
     }
 
+    /// Whether a candidate that improves held-out data by `gain` beside the other effects explains more than errors of
+    /// the PSFs may feign, and more than a stronger effect leaves in its shadow.
+    pub(super) fn stands_out(&self, c: &Candidate, gain: f64) -> bool {
+        let in_shadow = c.can_be_shadowed(self.now.training.pixels)
+            && gain < SHADOW * self.cast_by(self.strongest_gain(), self.now.held_out);
+        let beyond_feigned = c.term.effect.is_of_the_grid() || c.gain() > self.feigned();
+        gain > 0.0 && beyond_feigned && !in_shadow
+    }
+
     /// What casts a shadow on weaker effects: what the strongest effect explains, or, beside one, the excess that is left
     /// where that is more. The law of an effect and the PSFs of a calibration err by a small part each, and what they
     /// leave has the form of small changes. 0 without an effect: the first one stands beside nothing.
@@ -247,7 +256,7 @@ impl<'m, 'a> Search<'m, 'a> {
     }
 
     /// Whether as many terms of a family were added as may be.
-    fn is_full(&self, tried: Tried) -> bool {
+    pub(super) fn is_full(&self, tried: Tried) -> bool {
         let unnamed = self.found.iter().filter(|f| f.id.starts_with("unknown")).count();
         match tried {
             Tried::Catalogue => self.found.len() - unnamed >= MOST,
@@ -297,7 +306,7 @@ impl<'m, 'a> Search<'m, 'a> {
 
     /// The added effect with its evidence and its ambiguities: finalists are compared by their full fits, other effects
     /// by their scores.
-    fn describe(&self, candidates: &[Candidate], added: &Added<'_>) -> Result<Found, ForwardError> {
+    pub(super) fn describe(&self, candidates: &[Candidate], added: &Added<'_>) -> Result<Found, ForwardError> {
         let it = added.candidate;
         let near = |c: &&Candidate| match added.behind.iter().find(|(id, _)| *id == c.term.id()) {
             Some((_, behind)) => *behind < AMBIGUOUS,

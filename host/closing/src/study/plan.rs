@@ -8,7 +8,7 @@ use super::sessions::Holds;
 use super::size::{Question, Size};
 use ommatidia_physics::effects::{Descriptor, Effect, Stage, find, registry};
 use ommatidia_session::rng;
-use rand::Rng;
+use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -103,6 +103,14 @@ pub fn catalogue() -> Vec<&'static str> {
         d.stage != Stage::Record && !e.is_of_truths() && !d.id.starts_with("unknown")
     };
     registry().iter().filter(named).map(|e| e.descriptor().id).collect()
+}
+
+/// Each effect of the catalogue with another one, drawn at random.
+fn any_pairs(seed: u64, round: u64) -> Vec<[&'static str; 2]> {
+    let all = catalogue();
+    let mut rng = rng::stream(seed, "any pairs", round);
+    let mut another = |a: usize| (a + rng.random_range(1..all.len())) % all.len();
+    (0..all.len()).map(|a| [all[a], all[another(a)]]).collect()
 }
 
 /// A session that is wanted; whether its instrument can have it is not known yet.
@@ -260,6 +268,16 @@ fn wishes(size: &Size) -> Vec<Wish> {
                 let effects = vec![(x.into(), *k), (y.into(), *k)];
                 push(round, &format!("pair/{k}"), format!("pair/{x}+{y}/{k}/{round}"), effects, case);
             }
+        }
+        // Any two effects: each of the catalogue with another one, drawn once for a round.
+        for (a, [x, y]) in any_pairs(size.seed, round).into_iter().enumerate() {
+            if !size.asks(Question::Pair) || ![x, y].iter().all(|id| size.wants(id)) {
+                continue;
+            }
+            let k = PAIR_SIGMAS[a % PAIR_SIGMAS.len()];
+            let case = Case { question: Question::Pair, instrument: turn(a as u64 % kinds, a, 0), ..Case::default() };
+            let effects = vec![(x.into(), k), (y.into(), k)];
+            push(round, &format!("pair-any/{k}"), format!("pair-any/{x}+{y}/{k}/{round}"), effects, case);
         }
         let foreign = if size.gentle { &[FOREIGN_QUICK][..] } else { &FOREIGN_SIGMAS[..] };
         for (a, f) in FOREIGN.iter().enumerate().filter(|(_, f)| size.wants(f.descriptor().id)) {

@@ -99,8 +99,9 @@ pub trait Effect: Send + Sync {
         Vec::new()
     }
     /// Chooses among parameter values that a session cannot distinguish because its unknown light level compensates the
-    /// difference. Changes `p` and returns the factor on the light that compensates the change.
-    fn gauge(&self, _p: &mut [f64]) -> f64 {
+    /// difference. Changes `p` and returns the factor on the light that compensates the change. `live`: which lenses
+    /// show light; the values of others are nothing.
+    fn gauge(&self, _p: &mut [f64], _live: &[bool]) -> f64 {
         1.0
     }
     /// Number of independent candidates from which [`guess`](Effect::guess) selects, for a sensor of [rows, cols] and

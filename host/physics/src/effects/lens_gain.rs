@@ -36,12 +36,13 @@ impl Effect for LensGain {
 
     /// A common factor of all lenses is the unknown light level of the session, so the median lens is defined as
     /// unchanged.
-    fn gauge(&self, p: &mut [f64]) -> f64 {
-        let mut sorted = p.to_vec();
+    fn gauge(&self, p: &mut [f64], live: &[bool]) -> f64 {
+        let mut sorted: Vec<f64> = p.iter().zip(live).filter(|(_, live)| **live).map(|(v, _)| *v).collect();
         sorted.sort_by(f64::total_cmp);
         let common = 1.0 + sorted.get(sorted.len() / 2).copied().unwrap_or(0.0);
         if common > 0.0 {
-            p.iter_mut().for_each(|v| *v = (1.0 + *v) / common - 1.0);
+            let living = p.iter_mut().zip(live).filter(|(_, live)| **live);
+            living.for_each(|(v, _)| *v = (1.0 + *v) / common - 1.0);
         }
         common.max(f64::MIN_POSITIVE)
     }

@@ -5,6 +5,7 @@
 //! line is `N passed, N failed, N skipped`.
 
 mod counts;
+mod disk;
 mod python;
 mod steps;
 mod toolchain;

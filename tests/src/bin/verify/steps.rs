@@ -1,7 +1,7 @@
 //! The steps of `cargo verify`, cheapest first.
 
 use crate::counts::Counts;
-use crate::{python, toolchain};
+use crate::{disk, python, toolchain};
 use anyhow::{Context, Result};
 use ommatidia_shared::boards::{BOARDS, NUCLEO_H743ZI};
 use std::io::{BufRead, BufReader};
@@ -22,6 +22,7 @@ pub struct Step {
 pub fn all() -> Vec<Step> {
     let step = |name, run| Step { name, run };
     vec![
+        step("disk space", || disk::has_room(&toolchain::target_dir()).map(|()| Counts::check(true))),
         step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
         step("firmware images", firmware_images),
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),

@@ -21,8 +21,12 @@ pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
     let sampled = seen.pixels.len() < seen.sensor[0] * seen.sensor[1];
     let (lenses, side) = (instrument.geometry.anchors_px.len(), instrument.psf.basis.dim().2 + 2 * MARGIN);
     let large = rows * cols > MOST_UNKNOWNS || Views::values([rows, cols], side, lenses) > MOST_VALUES;
-    let impossible = instrument.sensor_only() || large || sampled;
-    if impossible || seen.frames.iter().any(|f| known(&f.shown)) {
+    if instrument.sensor_only() || seen.frames.iter().any(|f| known(&f.shown)) {
+        return;
+    }
+    let is_unknown = seen.frames.iter().any(|f| f.shown == Shown::Unknown);
+    if large || sampled {
+        seen.not_estimated = is_unknown.then(|| not_estimated([rows, cols], lenses, side));
         return;
     }
     let unknown: Vec<usize> = (0..seen.frames.len()).filter(|k| seen.frames[*k].shown == Shown::Unknown).collect();
@@ -37,6 +41,18 @@ pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
     }
 }
 
+/// Says that specimens were not estimated, and why.
+fn not_estimated([rows, cols]: [usize; 2], lenses: usize, side: usize) -> String {
+    format!(
+        "the specimens are unknown, and were not estimated, so that nothing here tests the optics: objects of {rows} x \
+         {cols} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory than `close` uses. \
+         Objects of at most {MOST_UNKNOWNS} pixels are estimated, and {:.0} million values of the optics (object \
+         pixels times lenses times pixels of a window): a coarser grid of object pixels or `calibrate --window` with \
+         smaller windows makes it possible",
+        MOST_VALUES as f64 / 1e6
+    )
+}
+
 /// What a session of estimated specimens can and cannot show.
 pub(crate) const UNKNOWN_NOTE: &str = "the specimens are unknown: they were estimated from the frames, and everything \
                                        that another specimen could make as well is not testable; the figures are of \
@@ -49,8 +65,11 @@ pub(crate) fn estimated_frames(seen: &Observations) -> Vec<(usize, usize)> {
     estimated.map(|f| (f.stack, f.info.frame)).collect()
 }
 
-/// Which frames of a recording took part; None: all of them.
+/// Which frames of a recording took part, or why none did; None: all of them.
 pub(crate) fn chosen_note(seen: &Observations) -> Option<String> {
+    if seen.not_estimated.is_some() {
+        return seen.not_estimated.clone();
+    }
     let frames = estimated_frames(seen);
     (!frames.is_empty() && frames.len() < seen.recorded).then(|| {
         let several = frames.iter().any(|(stack, _)| *stack != frames[0].0);

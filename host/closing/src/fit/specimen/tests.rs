@@ -58,6 +58,7 @@ fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations
         held_out_blocks: (0..side * side).map(|b| b == 6).collect(),
         sensor: SENSOR,
         recorded: 4,
+        not_estimated: None,
     };
     let made: Vec<Array2<f32>> = {
         let model = Model::new(instrument, &seen).unwrap();

@@ -48,6 +48,8 @@ pub struct MapErrors {
     pub offset_dn: f64,
     /// Relative error of the responses.
     pub response: f64,
+    /// Relative error of the variances without light.
+    pub reading: f64,
 }
 
 /// Measured noise of a sensor.

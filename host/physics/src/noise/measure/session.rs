@@ -5,12 +5,12 @@ use super::calibration::{Estimate, MapErrors, NoiseCalibration, NoiseConfig};
 use super::frames::{Background, DARKEST, background_of_beads, darkest, darks, groups, read_group};
 use super::linearity::{LitLevel, Shown, bend};
 use super::notes::{NoiseError, NoiseNote};
+use super::reading::ReadingMap;
 use super::response::{Level, ResponseMap, ResponseSums};
 use super::transfer::{ROUNDING_DN2, Transfer, curve};
 use super::{reading, video};
 use crate::noise::model::{NoiseModel, Source, Sources};
 use crate::noise::stats::{Offsets, Summary};
-use ndarray::Array2;
 use ommatidia_session::{Role, Session, Stack};
 
 /// Results from the darks, DN.
@@ -21,8 +21,8 @@ struct Dark {
     level: Option<Summary>,
     /// Number of frames.
     frames: f64,
-    /// Variance of each pixel, [sensor rows, sensor cols], if the pixels differ.
-    reading_dn2: Option<Array2<f32>>,
+    /// Variance of each pixel, if the pixels differ.
+    reading: Option<ReadingMap>,
 }
 
 /// Measures the noise of a session's sensor: black level, gain, read noise and pixel maps. `step` is called after each
@@ -108,12 +108,13 @@ pub fn measure_noise(
     let map_errors = MapErrors {
         offset_dn: dark.as_ref().map_or(0.0, |d| d.offsets.error_dn),
         response: response.as_ref().map_or(0.0, |r| r.error),
+        reading: dark.as_ref().and_then(|d| d.reading.as_ref()).map_or(0.0, |r| r.error),
     };
-    let (offset_dn, reading_dn2) = dark.map_or((None, None), |d| (Some(d.offsets.offset_dn), d.reading_dn2));
+    let (offset_dn, reading) = dark.map_or((None, None), |d| (Some(d.offsets.offset_dn), d.reading));
     Ok(NoiseCalibration {
         model,
         offset_dn,
-        reading_dn2,
+        reading_dn2: reading.map(|r| r.variance_dn2),
         response: response.map(|r| r.response),
         bend,
         map_errors,
@@ -207,11 +208,11 @@ fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut())
     let offsets = stats.offsets(level.map(|l| l.variance));
     let frames = group.frames.len() as f64;
     let level = level.map(|l| Summary { mean: 0.0, ..l });
-    let reading_dn2 = level.and_then(|_| {
+    let reading = level.and_then(|_| {
         let (variances, freedom) = stats.variances();
         reading::by_pixel(&variances, freedom)
     });
-    Ok(Some(Dark { offsets, level, frames, reading_dn2 }))
+    Ok(Some(Dark { offsets, level, frames, reading }))
 }
 
 /// Results from the flats.
