@@ -44,7 +44,7 @@ fn write(folder: &Path) -> Result<(), SessionError> {
         format: 1,
         name: "fuzz".into(),
         sensor: SensorSpec { rows: 4, cols: 5, pixel_pitch_um: 2.0, bit_depth: 12 },
-        array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+        array: ArrayGeometry::grid(1, 1, 0.0),
         optics: Optics { magnification: 0.5, psf_window_px: 3, wavelength_um: None },
         object: ObjectGrid { rows: 3, cols: 2, pixel_um: 4.0 },
         stacks: Vec::new(),

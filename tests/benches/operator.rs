@@ -33,7 +33,7 @@ fn instrument(object: usize, sensor: [usize; 2], window: usize, [lenses, terms]:
             format: 1,
             name: "benchmark".into(),
             sensor: SensorSpec { rows: sensor[0], cols: sensor[1], pixel_pitch_um: 1.0, bit_depth: 12 },
-            array: ArrayGeometry { rows: 1, cols: lenses, pitch_px: 1.0 },
+            array: ArrayGeometry::grid(1, lenses, 1.0),
             optics: Optics { magnification: 1.0, psf_window_px: window, wavelength_um: None },
             object: ObjectGrid { rows: object, cols: object, pixel_um: 1.0 },
             stacks: Vec::new(),

@@ -77,6 +77,9 @@ pub struct ArrayConfig {
     pub cols: usize,
     /// Nominal distance between neighbouring chief rays on the sensor, pixels.
     pub pitch_px: f64,
+    /// Nominal focus (row, col) of each lens for a source on the axis, sensor pixels; None: they form a centred grid.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lenses_px: Option<Vec<[f64; 2]>>,
     /// Placement error of the lenses, as the displacement of their anchors on the sensor, pixels rms along each axis.
     pub placement_rms_px: f64,
 }
@@ -238,7 +241,7 @@ impl Default for SensorConfig {
 
 impl Default for ArrayConfig {
     fn default() -> Self {
-        Self { rows: 3, cols: 3, pitch_px: 50.0, placement_rms_px: 0.35 }
+        Self { rows: 3, cols: 3, pitch_px: 50.0, lenses_px: None, placement_rms_px: 0.35 }
     }
 }
 
@@ -360,6 +363,12 @@ impl BenchConfig {
         if exposures_ms.is_empty() { vec![self.stacks.exposure_ms] } else { exposures_ms.to_vec() }
     }
 
+    /// Nominal focus (row, col) of each lens for a source on the axis, sensor pixels.
+    pub fn places_px(&self) -> Vec<[f64; 2]> {
+        let manifest = self.manifest();
+        manifest.array.places_px(&manifest.sensor)
+    }
+
     /// The manifest of the instrument's sessions, without stacks.
     pub fn manifest(&self) -> Manifest {
         let (sensor, array, optics, object) = (&self.sensor, &self.array, &self.optics, &self.object);
@@ -372,7 +381,12 @@ impl BenchConfig {
                 pixel_pitch_um: sensor.pixel_pitch_um,
                 bit_depth: sensor.bit_depth,
             },
-            array: ArrayGeometry { rows: array.rows, cols: array.cols, pitch_px: array.pitch_px },
+            array: ArrayGeometry {
+                rows: array.rows,
+                cols: array.cols,
+                pitch_px: array.pitch_px,
+                lenses_px: array.lenses_px.clone(),
+            },
             optics: Optics {
                 magnification: optics.magnification,
                 psf_window_px: optics.psf_window_px,

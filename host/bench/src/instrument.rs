@@ -185,7 +185,6 @@ impl VirtualInstrument {
     pub(super) fn context(&self, role: Role, info: &FrameInfo) -> FrameContext<'_> {
         FrameContext {
             role,
-            array: [self.config.array.rows, self.config.array.cols],
             anchors_px: &self.anchors_px,
             axes_px: &self.axes_px,
             pixel_pitch_um: self.config.sensor.pixel_pitch_um,

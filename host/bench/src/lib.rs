@@ -13,7 +13,7 @@
 //! // One lens before a small sensor; everything else is as in the demo instrument.
 //! let mut config = BenchConfig::default();
 //! (config.sensor.rows, config.sensor.cols) = (40, 40);
-//! config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0 };
+//! config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0, lenses_px: None };
 //! config.object = ObjectConfig { rows: 12, cols: 12, pixel_um: 2.8 };
 //! config.scan = ScanConfig { rows: 2, cols: 2, ..ScanConfig::default() };
 //! config.stacks.dark_frames = 2;

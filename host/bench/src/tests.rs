@@ -15,7 +15,7 @@ fn small() -> BenchConfig {
     let mut config = BenchConfig::default();
     config.sensor.rows = 50;
     config.sensor.cols = 70;
-    config.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 20.0, placement_rms_px: 0.3 };
+    config.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 20.0, placement_rms_px: 0.3, lenses_px: None };
     config.optics.aperture_um = 20.0;
     config.optics.psf_window_px = 13;
     config.optics.object_distance_um = 300.0;
@@ -138,7 +138,7 @@ fn foci_without_aberrations_are_centred_on_their_chief_rays() {
     };
     config.optics.distortion_px = 0.0;
     config.optics.magnification_error = 0.01;
-    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.4 };
+    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.4, lenses_px: None };
     let instrument = config.build(&[]).unwrap();
     let anchor = instrument.optics.anchors_px()[0];
     for at in [[0.0, 0.0], [11.0, -17.3]] {

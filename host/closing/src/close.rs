@@ -22,8 +22,12 @@ use ommatidia_session::Manifest;
 pub fn check_layout(instrument: &Manifest, session: &Manifest) -> Result<(), CloseError> {
     let words = |m: &Manifest| {
         format!(
-            "{} x {} lenses, a sensor of {} x {} and objects of {} x {} pixels",
-            m.array.rows, m.array.cols, m.sensor.rows, m.sensor.cols, m.object.rows, m.object.cols
+            "{}, a sensor of {} x {} and objects of {} x {} pixels",
+            m.array.words(),
+            m.sensor.rows,
+            m.sensor.cols,
+            m.object.rows,
+            m.object.cols
         )
     };
     let (expected, found) = (words(instrument), words(session));

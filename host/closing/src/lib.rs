@@ -26,7 +26,7 @@
 //!
 //! let mut bench = BenchConfig::default();
 //! (bench.sensor.rows, bench.sensor.cols) = (50, 70);
-//! bench.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 20.0, placement_rms_px: 0.3 };
+//! bench.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 20.0, placement_rms_px: 0.3, lenses_px: None };
 //! bench.optics.aperture_um = 20.0;
 //! bench.optics.psf_window_px = 13;
 //! bench.optics.object_distance_um = 300.0;

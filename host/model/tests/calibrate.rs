@@ -163,7 +163,7 @@ fn a_session_without_beads_gives_the_sensor_alone() {
     use ommatidia_session::*;
     let mut manifest = Testbed::new().manifest;
     (manifest.object.rows, manifest.object.cols) = (manifest.sensor.rows, manifest.sensor.cols);
-    manifest.array = ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 };
+    manifest.array = ArrayGeometry::grid(1, 1, 0.0);
     let write = |path: &std::path::Path, manifest: &Manifest| {
         let mut writer = SessionWriter::create(path, manifest, Existing::Keep).unwrap();
         let [rows, cols] = [manifest.sensor.rows, manifest.sensor.cols];

@@ -320,10 +320,9 @@ impl PyInstrument {
     fn __repr__(&self) -> String {
         let m = &self.instrument().manifest;
         format!(
-            "Instrument({:?}: {} x {} lenses, frames {} x {}, objects {} x {}, rank {}, {} effects)",
+            "Instrument({:?}: {}, frames {} x {}, objects {} x {}, rank {}, {} effects)",
             m.name,
-            m.array.rows,
-            m.array.cols,
+            m.array.words(),
             m.sensor.rows,
             m.sensor.cols,
             m.object.rows,

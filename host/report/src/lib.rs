@@ -290,11 +290,10 @@ fn lead(pieces: &[Piece]) -> String {
     });
     manifest.map_or(String::new(), |m| {
         format!(
-            "A multi-aperture miniscope with {} × {} lenses on a {} × {} pixel sensor (pitch {} µm, {} bit), \
+            "A multi-aperture miniscope with {} on a {} × {} pixel sensor (pitch {} µm, {} bit), \
                 observing an object of \
              {} × {} pixels of {} µm at magnification {}.",
-            m.array.rows,
-            m.array.cols,
+            m.array.words().replace('x', "×"),
             m.sensor.rows,
             m.sensor.cols,
             m.sensor.pixel_pitch_um,

@@ -3,6 +3,15 @@
 use super::colour::ColourMap;
 use super::picture::Scale;
 use ndarray::ArrayView2;
+use ommatidia_session::ArrayGeometry;
+
+/// Columns in which pictures of all lenses are laid out: those of the grid, or nearly as many as rows.
+pub fn tile_columns(array: &ArrayGeometry) -> usize {
+    match array.lenses_px {
+        None => array.cols.max(1),
+        Some(_) => (array.lenses() as f64).sqrt().ceil().max(1.0) as usize,
+    }
+}
 
 /// What a picture shows, which decides its colours and their range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -4,6 +4,7 @@ use super::chart::{Axis, Chart, Line, Marks};
 use super::closing::plus_minus;
 use super::colour::ColourMap;
 use super::error::ReportError;
+use super::look::tile_columns;
 use super::page::{Numbers, pairs};
 use super::picture::{Scale, Tone, number, picture};
 use maud::{Markup, html};
@@ -89,13 +90,12 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
         .collect();
     let peak = panels.iter().flatten().fold(0.0f32, |m, &v| m.max(v));
     let scale = Scale { low: 0.0, high: f64::from(peak), tone: Tone::SquareRoot, map: ColourMap::Inferno };
-    let columns = instrument.manifest.array.cols.max(1);
     let show = |(lens, panel): (usize, &Array2<f32>)| {
         let alt = format!("PSFs of lens {lens} at {} by {} field positions", rows.len(), cols.len());
         let dead = if instrument.geometry.dead[lens] { " (dead)" } else { "" };
         Ok::<_, ReportError>(html! {
             div.plate {
-                p.name { "Lens " (lens / columns + 1) ", " (lens % columns + 1) (dead) }
+                p.name { "Lens " (instrument.manifest.array.lens_name(lens)) (dead) }
                 (picture(panel.view(), &scale, &alt, &[])?)
             }
         })
@@ -103,7 +103,7 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
     let panels = panels.iter().enumerate().map(show).collect::<Result<Vec<_>, _>>()?;
     let um = instrument.manifest.sensor.pixel_pitch_um;
     let text = format!(
-        "Each panel: one lens (row, column); within it the image of a point source at {} × {} positions across the \
+        "Each panel: one lens (row, column; its number where the lenses form no grid); within it the image of a point source at {} × {} positions across the \
             field, cut out \
          at its chief ray, {window} × {window} pixels ({} µm on the sensor). All panels share one square-root scale, \
          so \
@@ -113,7 +113,7 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
         number(window as f64 * um)
     );
     let body = html! {
-        div.lenses style={ "grid-template-columns:repeat(" (columns) ",1fr)" } { @for p in panels { (p) } }
+        div.lenses style={ "grid-template-columns:repeat(" (tile_columns(&instrument.manifest.array)) ",1fr)" } { @for p in panels { (p) } }
         (scale.bar("DN for a unit source"))
     };
     Ok(numbers.figure("Point-spread functions by lens and field.", &text, body))

@@ -14,7 +14,7 @@ const SIDE: usize = 48;
 fn instrument() -> Instrument {
     let mut i = testing::instrument([SIDE, SIDE], [120, 120], 15, 2);
     i.manifest.name = "Synthetic".into();
-    i.manifest.array = ArrayGeometry { rows: 3, cols: 3, pitch_px: 30.0 };
+    i.manifest.array = ArrayGeometry::grid(3, 3, 30.0);
     i.geometry.anchors_px = (0..9).map(|l| [30.0 * (l / 3) as f64 + 29.5, 30.0 * (l % 3) as f64 + 29.5]).collect();
     i.geometry.dead = (0..9).map(|l| l == 8).collect();
     let spot = |r: usize, c: usize, s: f32| {

@@ -13,7 +13,7 @@
 //!     format: 1,
 //!     name: "example".into(),
 //!     sensor: SensorSpec { rows: 4, cols: 5, pixel_pitch_um: 2.0, bit_depth: 12 },
-//!     array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+//!     array: ArrayGeometry::grid(1, 1, 0.0),
 //!     optics: Optics { magnification: 0.5, psf_window_px: 3, wavelength_um: None },
 //!     object: ObjectGrid { rows: 4, cols: 4, pixel_um: 4.0 },
 //!     stacks: Vec::new(),

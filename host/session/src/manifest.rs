@@ -47,8 +47,16 @@ impl SensorSpec {
     }
 }
 
-/// The microlens array, with lenses numbered row by row.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// The microlens array, with lenses numbered row by row, or in the order of `lenses_px`.
+///
+/// ```
+/// use ommatidia_session::{ArrayGeometry, SensorSpec};
+///
+/// let sensor = SensorSpec { rows: 101, cols: 101, pixel_pitch_um: 2.0, bit_depth: 12 };
+/// let grid = ArrayGeometry::grid(1, 2, 40.0);
+/// assert_eq!(grid.places_px(&sensor), [[50.0, 30.0], [50.0, 70.0]]);
+/// ```
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ArrayGeometry {
     /// Rows of lenses.
@@ -57,12 +65,51 @@ pub struct ArrayGeometry {
     pub cols: usize,
     /// Nominal distance of neighbouring chief rays on the sensor, sensor pixels.
     pub pitch_px: f64,
+    /// Nominal focus (row, col) of each lens for a source on the axis, sensor pixels. None: the lenses form a grid that
+    /// is centred on the sensor.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lenses_px: Option<Vec<[f64; 2]>>,
 }
 
 impl ArrayGeometry {
+    /// A grid of lenses.
+    pub fn grid(rows: usize, cols: usize, pitch_px: f64) -> Self {
+        Self { rows, cols, pitch_px, lenses_px: None }
+    }
+
     /// Number of lenses.
     pub fn lenses(&self) -> usize {
         self.rows * self.cols
+    }
+
+    /// Nominal focus (row, col) of each lens for a source on the axis, sensor pixels.
+    pub fn places_px(&self, sensor: &SensorSpec) -> Vec<[f64; 2]> {
+        if let Some(places) = &self.lenses_px {
+            return places.clone();
+        }
+        let along = |k: usize, lenses: usize, pixels: usize| {
+            (pixels as f64 - 1.0) / 2.0 + (k as f64 - (lenses as f64 - 1.0) / 2.0) * self.pitch_px
+        };
+        let lens =
+            |l: usize| [along(l / self.cols, self.rows, sensor.rows), along(l % self.cols, self.cols, sensor.cols)];
+        (0..self.lenses()).map(lens).collect()
+    }
+
+    /// The lenses in words: `3 x 3 lenses`, or `7 lenses` that have places of their own.
+    pub fn words(&self) -> String {
+        match (&self.lenses_px, self.lenses()) {
+            (_, 1) => "one lens".into(),
+            (None, _) => format!("{} x {} lenses", self.rows, self.cols),
+            (Some(_), n) => format!("{n} lenses"),
+        }
+    }
+
+    /// The name of lens `l` in words: its row and column, counted from 1, or its number where the lenses form no grid.
+    pub fn lens_name(&self, l: usize) -> String {
+        match self.lenses_px {
+            None => format!("{}, {}", l / self.cols.max(1) + 1, l % self.cols.max(1) + 1),
+            Some(_) => (l + 1).to_string(),
+        }
     }
 }
 

@@ -12,7 +12,7 @@ fn manifest() -> Manifest {
         format: 1,
         name: "test".into(),
         sensor: SensorSpec { rows: 4, cols: 5, pixel_pitch_um: 2.0, bit_depth: 12 },
-        array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+        array: ArrayGeometry::grid(1, 1, 0.0),
         optics: Optics { magnification: 0.5, psf_window_px: 3, wavelength_um: None },
         object: ObjectGrid { rows: 3, cols: 2, pixel_um: 4.0 },
         stacks: Vec::new(),
@@ -386,4 +386,35 @@ fn tables_as_people_save_them_are_read_as_the_usual_one() {
     let wide: Vec<u8> = usual.encode_utf16().flat_map(u16::to_le_bytes).collect();
     std::fs::write(&table, [&[0xff, 0xfe][..], &wide].concat()).unwrap();
     assert_eq!(bead().0, expected);
+}
+
+#[test]
+fn places_of_lenses_are_checked_and_kept() {
+    let with = |rows: usize, cols: usize, places: &[[f64; 2]]| {
+        let mut m = manifest();
+        (m.sensor.rows, m.sensor.cols) = (50, 60);
+        m.array = ArrayGeometry { lenses_px: Some(places.to_vec()), ..ArrayGeometry::grid(rows, cols, 20.0) };
+        m
+    };
+    let places = [[10.0, 12.0], [10.0, 40.5], [30.0, 26.0]];
+    let right = with(1, 3, &places);
+    right.check(Path::new("session.toml")).unwrap();
+    assert_eq!(right.array.places_px(&right.sensor), places);
+    assert_eq!((right.array.words().as_str(), right.array.lens_name(2).as_str()), ("3 lenses", "3"));
+    let text = toml::to_string(&right).unwrap();
+    assert_eq!(Manifest::parse(Path::new("session"), &text).unwrap(), right);
+    for (rows, cols, places, word) in [
+        (1, 2, &places[..], "rows = 1 and cols = 3"),
+        (1, 3, &[[10.0, 12.0], [10.0, 60.0], [30.0, 26.0]][..], "50 x 60"),
+        (1, 3, &[[10.0, 12.0], [10.0, f64::NAN], [30.0, 26.0]][..], "50 x 60"),
+        (1, 3, &[[10.0, 12.0], [10.0, 19.0], [30.0, 26.0]][..], "half of array.pitch_px"),
+    ] {
+        let error = with(rows, cols, places).check(Path::new("session.toml")).unwrap_err().to_string();
+        assert!(error.contains("array.lenses_px") && error.contains(word), "{error}");
+    }
+    // A grid that is centred on the sensor.
+    let grid = ArrayGeometry::grid(3, 3, 50.0);
+    let places = grid.places_px(&SensorSpec { rows: 214, cols: 200, ..right.sensor });
+    assert_eq!((places[4], places[2], grid.words().as_str()), ([106.5, 99.5], [56.5, 149.5], "3 x 3 lenses"));
+    assert_eq!(grid.lens_name(5), "2, 3");
 }

@@ -1,7 +1,7 @@
 //! Parses a manifest and rejects impossible sizes.
 
 use super::error::SessionError;
-use super::manifest::{Manifest, Role, StackEntry};
+use super::manifest::{ArrayGeometry, Manifest, Role, SensorSpec, StackEntry};
 use std::path::Path;
 
 /// Wavelengths that a session may state, um: from the ultraviolet to the near infrared.
@@ -19,6 +19,27 @@ impl Role {
             Self::Scene => "scene",
         }
     }
+}
+
+/// Checks the nominal places of lenses. The error says what is expected of them.
+fn check_places(places: &[[f64; 2]], array: &ArrayGeometry, sensor: &SensorSpec) -> Result<(), String> {
+    if places.len() != array.lenses() {
+        return Err(format!(
+            "one place for each of rows x cols = {} x {} lenses (rows = 1 and cols = {} where they form no grid)",
+            array.rows,
+            array.cols,
+            places.len()
+        ));
+    }
+    let inside = |v: f64, n: usize| (0.0..n as f64).contains(&v);
+    if !places.iter().all(|p| inside(p[0], sensor.rows) && inside(p[1], sensor.cols)) {
+        return Err(format!("[row, col] on the sensor of {} x {} pixels", sensor.rows, sensor.cols));
+    }
+    let close = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) < 0.5 * array.pitch_px;
+    if places.iter().enumerate().any(|(i, a)| places[..i].iter().any(|b| close(a, b))) {
+        return Err(format!("places at least half of array.pitch_px = {} apart", array.pitch_px));
+    }
+    Ok(())
 }
 
 impl Manifest {
@@ -77,6 +98,11 @@ impl Manifest {
             let above = if array.lenses() > 1 { "above zero" } else { "zero or more" };
             let expected = format!("the distance between neighbouring chief rays in sensor pixels, {above}");
             return Err(SessionError::value(path, "array.pitch_px", expected, array.pitch_px, fix));
+        }
+        if let Some(places) = &array.lenses_px {
+            check_places(places, array, sensor).map_err(|expected| {
+                SessionError::value(path, "array.lenses_px", expected, format!("{places:?}"), fix)
+            })?;
         }
         if !(1..=32).contains(&sensor.bit_depth) {
             return Err(SessionError::value(path, "sensor.bit_depth", "1 to 32", sensor.bit_depth, fix));

@@ -1,7 +1,7 @@
 //! One lens of the virtual instrument, as it was manufactured.
 
 use crate::config::{AberrationConfig, BenchConfig};
-use ommatidia_physics::optics::{ArrayLayout, MicrolensArray, Wavefront};
+use ommatidia_physics::optics::{MicrolensArray, Wavefront};
 use ommatidia_session::rng;
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
@@ -21,16 +21,10 @@ pub(super) struct Lens {
 }
 
 impl Lens {
-    /// Draws lens (i, j) of the array; the same seed gives the same lens.
-    pub(super) fn manufacture(config: &BenchConfig, array: &MicrolensArray, i: usize, j: usize) -> Self {
-        let layout = ArrayLayout {
-            rows: config.array.rows,
-            cols: config.array.cols,
-            pitch_px: config.array.pitch_px,
-            sensor: [config.sensor.rows, config.sensor.cols],
-        };
-        let mut rng = rng::stream(config.instrument_seed, "bench/lens", (i * config.array.cols + j) as u64);
-        let nominal = layout.anchor_px(i, j);
+    /// Draws lens `l` of the array, with a nominal focus of the source on the axis, sensor pixels; the same seed gives
+    /// the same lens.
+    pub(super) fn manufacture(config: &BenchConfig, array: &MicrolensArray, l: usize, nominal: [f64; 2]) -> Self {
+        let mut rng = rng::stream(config.instrument_seed, "bench/lens", l as u64);
         let anchor_px = nominal.map(|a| a + config.array.placement_rms_px * normal(&mut rng));
         let aberrations = &config.aberrations;
         let mut at_axis = Wavefront::default();
@@ -41,7 +35,8 @@ impl Lens {
         at_axis.coefficient[3] += aberrations.defocus;
         at_axis.coefficient[10] += aberrations.spherical;
         let tilt = [0; 2].map(|_| aberrations.tilt_scatter * normal(&mut rng));
-        let axis_um = array.axis_um(anchor_px, layout.centre_px());
+        let centre_px = [config.sensor.rows, config.sensor.cols].map(|n| (n as f64 - 1.0) / 2.0);
+        let axis_um = array.axis_um(anchor_px, centre_px);
         Self { anchor_px, axis_um, at_axis, tilt, field: aberrations.clone() }
     }
 

@@ -46,11 +46,11 @@ impl Pupils {
         };
         let grid = config.manifest().object;
         let corner_um = (grid.rows as f64).hypot(grid.cols as f64) / 2.0 * grid.pixel_um;
-        let lenses = (0..config.array.rows).flat_map(|i| (0..config.array.cols).map(move |j| (i, j)));
+        let lenses = config.places_px().into_iter().enumerate();
         Ok(Self {
             pupil: pupil.build()?,
             array,
-            lenses: lenses.map(|(i, j)| Lens::manufacture(config, &array, i, j)).collect(),
+            lenses: lenses.map(|(l, nominal)| Lens::manufacture(config, &array, l, nominal)).collect(),
             sensor: [config.sensor.rows, config.sensor.cols],
             reference_tangent: corner_um / optics.object_distance_um,
             half_response_tangent: optics.half_response_tangent,

@@ -98,13 +98,11 @@ impl Relay {
         let magnification = config.true_magnification();
         let centre_px = [config.sensor.rows, config.sensor.cols].map(|n| (n as f64 - 1.0) / 2.0);
         let plane = SensorPlane { centre_px, pixel_pitch_um: config.sensor.pixel_pitch_um, magnification };
-        let places = (0..config.array.rows).flat_map(|i| (0..config.array.cols).map(move |j| (i, j)));
-        let make = |(i, j): (usize, usize)| {
-            let mut rng = rng::stream(config.instrument_seed, "bench/relay", (i * config.array.cols + j) as u64);
+        let places = config.places_px().into_iter().enumerate();
+        let make = |(l, nominal): (usize, [f64; 2])| {
+            let mut rng = rng::stream(config.instrument_seed, "bench/relay", l as u64);
             let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
-            let along = |k: usize, lenses: usize| (k as f64 - (lenses as f64 - 1.0) / 2.0) * config.array.pitch_px;
-            let nominal = [along(i, config.array.rows), along(j, config.array.cols)];
-            let anchor_px = [0, 1].map(|k| centre_px[k] + nominal[k] + config.array.placement_rms_px * normal());
+            let anchor_px = [0, 1].map(|k| nominal[k] + config.array.placement_rms_px * normal());
             Made {
                 anchor_px,
                 axis_um: plane.axis_um(anchor_px),

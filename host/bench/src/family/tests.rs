@@ -16,7 +16,7 @@ use ommatidia_session::stack;
 fn config(family: FamilyName) -> BenchConfig {
     let mut c = BenchConfig { family, ..BenchConfig::default() };
     (c.sensor.rows, c.sensor.cols) = (60, 80);
-    c.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 30.0, placement_rms_px: 0.3 };
+    c.array = ArrayConfig { rows: 1, cols: 2, pitch_px: 30.0, placement_rms_px: 0.3, lenses_px: None };
     c.object = ObjectConfig { rows: 18, cols: 22, pixel_um: 2.8 };
     c.optics.aperture_um = 30.0;
     c.optics.object_distance_um = 300.0;
@@ -142,7 +142,7 @@ fn a_relay_out_of_focus_shows_a_disc_of_its_aperture_times_the_distance() {
 #[test]
 fn coma_moves_the_light_of_a_relay_and_distortion_its_chief_ray() {
     let mut config = perfect();
-    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0 };
+    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0, lenses_px: None };
     let corner_um = 18f64.hypot(22.0) / 2.0 * 2.8;
     let point = at(0.0, 0.6 * corner_um, 0.0);
     let plain = spot(&*build(&config).unwrap(), 0, point, STILL).0;
@@ -161,7 +161,7 @@ fn coma_moves_the_light_of_a_relay_and_distortion_its_chief_ray() {
 #[test]
 fn astigmatism_of_a_relay_widens_along_the_field_and_a_stop_takes_light() {
     let mut config = perfect();
-    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0 };
+    config.array = ArrayConfig { rows: 1, cols: 1, pitch_px: 0.0, placement_rms_px: 0.0, lenses_px: None };
     let corner_um = 18f64.hypot(22.0) / 2.0 * 2.8;
     let point = at(0.8 * corner_um, 0.0, 0.0);
     let (_, round, full) = spot(&*build(&config).unwrap(), 0, point, STILL);

@@ -117,17 +117,30 @@ pub enum BeadError {
     },
 }
 
+/// The warning of dead lenses in words.
+fn dead_lenses(lenses: &[usize]) -> String {
+    if let [lens] = lenses {
+        return format!(
+            "lens {lens} shows no focus in any bead frame and is marked dead: predictions leave it out; clean or \
+             unblock it and measure again"
+        );
+    }
+    let names: Vec<String> = lenses.iter().map(usize::to_string).collect();
+    format!(
+        "lenses {} show no focus in any bead frame and are marked dead: predictions leave them out; clean or unblock \
+         them and measure again, or correct [array] in session.toml (`ommatidia check` says what the foci form)",
+        names.join(", ")
+    )
+}
+
 /// A problem that does not stop the calibration.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum Warning {
-    /// A lens without light.
-    #[error(
-        "lens {lens} shows no focus in any bead frame and is marked dead: predictions leave it out; clean or unblock \
-         it and measure again"
-    )]
-    DeadLens {
-        /// Lens, counted row by row from 0.
-        lens: usize,
+    /// Lenses without light.
+    #[error("{}", dead_lenses(lenses))]
+    DeadLenses {
+        /// Lenses, counted row by row from 0.
+        lenses: Vec<usize>,
     },
     /// A lens much dimmer than the others.
     #[error("lens {lens} passes {share:.0} % of the light of the median lens: it is used, with more noise")]

@@ -27,7 +27,7 @@ pub struct RayFit {
     pub rays: ChiefRays,
     /// Root-mean-square distance of the centroids from the fit, over both axes, px: distortion and noise.
     pub rms_px: f64,
-    /// One warning for each dead lens.
+    /// The dead lenses.
     pub warnings: Vec<Warning>,
 }
 
@@ -71,7 +71,8 @@ pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl F
     if (fit.slope - 1.0).abs() > 0.05 {
         return Err(BeadError::Magnification { path: scan.path(0).into(), expected: nominal, found: magnification });
     }
-    let warnings = dead.iter().enumerate().filter(|(_, d)| **d).map(|(lens, _)| Warning::DeadLens { lens }).collect();
+    let lenses: Vec<usize> = (0..dead.len()).filter(|l| dead[*l]).collect();
+    let warnings = if lenses.is_empty() { Vec::new() } else { vec![Warning::DeadLenses { lenses }] };
     Ok(RayFit { rays: ChiefRays { anchors_px: fit.anchors, magnification, dead }, rms_px: fit.rms_px, warnings })
 }
 
@@ -111,15 +112,8 @@ fn first_anchors(sum: &Array2<f32>, m: &Manifest) -> Vec<([f64; 2], f64)> {
     let (level, spread) = level_and_spread(smooth.view());
     let reach = if m.array.lenses() == 1 { f64::INFINITY } else { 0.45 * m.array.pitch_px };
     let centre = [(m.sensor.rows as f64 - 1.0) / 2.0, (m.sensor.cols as f64 - 1.0) / 2.0];
-    let nominal: Vec<[f64; 2]> = (0..m.array.lenses())
-        .map(|l| {
-            let (i, j) = (l / m.array.cols, l % m.array.cols);
-            [
-                (i as f64 - (m.array.rows as f64 - 1.0) / 2.0) * m.array.pitch_px,
-                (j as f64 - (m.array.cols as f64 - 1.0) / 2.0) * m.array.pitch_px,
-            ]
-        })
-        .collect();
+    let nominal: Vec<[f64; 2]> =
+        m.array.places_px(&m.sensor).iter().map(|p| [p[0] - centre[0], p[1] - centre[1]]).collect();
     let offset = best_offset(&smooth, &nominal, centre, reach, level + 3.0 * spread);
     nominal
         .iter()

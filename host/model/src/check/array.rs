@@ -2,13 +2,13 @@
 //!
 //! Frames that are moved back by their positions add up to one bright spot a lens. Spots that form a complete lattice
 //! of another shape or pitch than the declared one mean a wrong manifest; gaps in the right lattice are lenses that
-//! show nothing.
+//! show nothing. Where the spots or the declared places form no lattice, each is looked for among the others.
 
 use super::hypotheses::Tried;
 use super::scan::{Scan, median};
 use super::{Finding, FocusPair, Outlier, Severity};
 use ndarray::Array2;
-use ommatidia_session::Manifest;
+use ommatidia_session::{ArrayGeometry, Manifest};
 
 /// A spot counts if it is brighter than this share of the brightest.
 const BRIGHT: f32 = 0.08;
@@ -18,6 +18,8 @@ const CONTRAST: f32 = 8.0;
 const RADIUS: f64 = 0.75;
 /// Largest relative difference of a pitch from the declared one.
 const PITCH: f64 = 0.15;
+/// A spot belongs to a declared place within this share of the pitch.
+const NEAR: f64 = 0.3;
 /// A letter F, [row, col] from -1 to 1.
 const LETTER: [[f64; 2]; 8] =
     [[1.0, -0.6], [0.5, -0.6], [0.0, -0.6], [-0.5, -0.6], [-1.0, -0.6], [-1.0, 0.0], [-1.0, 0.6], [0.0, 0.0]];
@@ -100,14 +102,16 @@ fn levels(mut values: Vec<f64>, gap: f64) -> Vec<f64> {
 /// What the lattice means for the user.
 pub fn describe(lattice: &Lattice, m: &Manifest, scan: &Scan) -> Vec<Finding> {
     let declared = [m.array.rows, m.array.cols];
-    let words = |[rows, cols]: [usize; 2]| match rows * cols {
-        1 => "one lens".to_string(),
-        _ => format!("{rows} x {cols} lenses"),
-    };
-    let Some(shape) = lattice.shape else { return Vec::new() };
     let count = lattice.lenses_px.len();
+    if count == 0 {
+        return Vec::new();
+    }
+    let places = m.array.places_px(&m.sensor);
+    let is_grid = m.array.lenses_px.is_none();
+    let (Some(shape), true) = (lattice.shape, is_grid) else { return one_by_one(lattice, &places, m, scan) };
+    let words = |[rows, cols]: [usize; 2]| ArrayGeometry::grid(rows, cols, 0.0).words();
     let pitch = lattice.pitch_px.map_or(String::new(), |p| format!(", {p:.1} px apart"));
-    let declares = format!("session.toml declares {}, {} px apart", words(declared), m.array.pitch_px);
+    let declares = declares(m);
     let error = |text: String| vec![Finding::new("array", Severity::Error, text)];
     let ratio = lattice.pitch_px.map(|p| p / m.array.pitch_px).filter(|_| m.array.lenses() > 1);
     if shape != declared && m.array.lenses() > 1 {
@@ -122,12 +126,7 @@ pub fn describe(lattice: &Lattice, m: &Manifest, scan: &Scan) -> Vec<Finding> {
         ));
     }
     if m.array.lenses() == 1 && count > 1 && shape[0] * shape[1] > 1 {
-        let text = format!(
-            "the foci of one bead form {} spots{pitch}; session.toml declares one lens: if there are more, correct \
-             [array]; if one PSF has several spots, let psf_window_px hold all of them",
-            count
-        );
-        return vec![Finding::new("array", Severity::Warning, text)];
+        return several_of_one(count, &pitch);
     }
     if let Some(ratio) = ratio.filter(|r| (r - 1.0).abs() > PITCH) {
         let factor = if ratio > 1.0 {
@@ -142,12 +141,87 @@ pub fn describe(lattice: &Lattice, m: &Manifest, scan: &Scan) -> Vec<Finding> {
     }
     let dead = m.array.lenses().saturating_sub(count);
     if dead > 0 {
-        let text =
-            format!("{dead} of {} lenses show no focus: clean or unblock them, and measure again", m.array.lenses());
-        return vec![Finding::new("lenses", Severity::Warning, text)];
+        return dark(dead, m);
     }
     let text = format!("the foci form {}{pitch}, as declared", words(shape));
     vec![Finding::new("array", Severity::Ok, format!("{text} ({} bead frames)", scan.frames.len()))]
+}
+
+/// What spots mean that form no grid, or should form none: each declared place is looked for among them.
+fn one_by_one(lattice: &Lattice, places: &[[f64; 2]], m: &Manifest, scan: &Scan) -> Vec<Finding> {
+    let spots = &lattice.lenses_px;
+    if places.len() == 1 {
+        return if spots.len() > 1 { several_of_one(spots.len(), "") } else { Vec::new() };
+    }
+    let near = matches(spots, places, NEAR * m.array.pitch_px);
+    let (found, elsewhere) = (near.iter().flatten().count(), spots.len() - near.iter().flatten().count());
+    if elsewhere == 0 && found < places.len() {
+        return dark(places.len() - found, m);
+    }
+    if elsewhere == 0 {
+        let text = format!("the foci of {found} lenses lie where they are declared");
+        return vec![Finding::new("array", Severity::Ok, format!("{text} ({} bead frames)", scan.frames.len()))];
+    }
+    let list: Vec<String> = spots.iter().map(|p| format!("[{:.0}, {:.0}]", p[0], p[1])).collect();
+    let text = format!(
+        "the foci of one bead form {} spots, {found} of them where a lens is declared and {elsewhere} elsewhere; {}: if \
+         each spot is a lens, write under [array] in session.toml `rows = 1`, `cols = {}`, `pitch_px = {:.0}` and \
+         `lenses_px = [{}]`; if not, look for what else shines",
+        spots.len(),
+        declares(m),
+        spots.len(),
+        usual_distance(spots),
+        list.join(", ")
+    );
+    vec![Finding::new("array", Severity::Error, text)]
+}
+
+/// For each place the spot that lies within `reach`, with the common shift of all places under which the most have one;
+/// of equal shifts the smallest.
+fn matches(spots: &[[f64; 2]], places: &[[f64; 2]], reach: f64) -> Vec<Option<usize>> {
+    let under = |shift: [f64; 2]| -> Vec<Option<usize>> {
+        let off = |s: &[f64; 2], p: &[f64; 2]| (s[0] - p[0] - shift[0]).hypot(s[1] - p[1] - shift[1]);
+        let nearest = |p: &[f64; 2]| (0..spots.len()).min_by(|a, b| off(&spots[*a], p).total_cmp(&off(&spots[*b], p)));
+        places.iter().map(|p| nearest(p).filter(|s| off(&spots[*s], p) <= reach)).collect()
+    };
+    let shifts = spots.iter().flat_map(|s| places.iter().map(move |p| [s[0] - p[0], s[1] - p[1]]));
+    let by_worth = shifts.map(|shift| {
+        let found = under(shift);
+        (found.iter().flatten().count(), shift[0].hypot(shift[1]), found)
+    });
+    let best = by_worth.max_by(|a, b| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
+    best.map_or_else(|| vec![None; places.len()], |(.., found)| found)
+}
+
+/// Median distance of a spot to the nearest other one, sensor pixels.
+fn usual_distance(spots: &[[f64; 2]]) -> f32 {
+    let distance = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let nearest = |i: usize| {
+        let others = spots.iter().enumerate().filter(|(j, _)| *j != i);
+        others.map(|(_, b)| distance(&spots[i], b)).fold(f64::INFINITY, f64::min) as f32
+    };
+    median(&mut (0..spots.len()).map(nearest).collect::<Vec<_>>())
+}
+
+/// What the manifest declares, in words.
+fn declares(m: &Manifest) -> String {
+    format!("session.toml declares {}, {} px apart", m.array.words(), m.array.pitch_px)
+}
+
+/// The finding that some lenses show nothing.
+fn dark(lenses: usize, m: &Manifest) -> Vec<Finding> {
+    let text =
+        format!("{lenses} of {} lenses show no focus: clean or unblock them, and measure again", m.array.lenses());
+    vec![Finding::new("lenses", Severity::Warning, text)]
+}
+
+/// The finding that one lens has several spots.
+fn several_of_one(spots: usize, pitch: &str) -> Vec<Finding> {
+    let text = format!(
+        "the foci of one bead form {spots} spots{pitch}; session.toml declares one lens: if there are more, correct \
+         [array]; if one PSF has several spots, let psf_window_px hold all of them"
+    );
+    vec![Finding::new("array", Severity::Warning, text)]
 }
 
 /// Predicted and found foci of some frames, for a picture.
@@ -188,15 +262,7 @@ fn letter(scan: &Scan, m: &Manifest) -> Vec<usize> {
 /// the manifest, where they show none); from there the foci move by the table, or as they were found to move.
 pub fn foci(scan: &Scan, tried: &Tried, lattice: &Lattice, outliers: &[Outlier], m: &Manifest) -> Shown {
     let letter = letter(scan, m);
-    let nominal = || {
-        let at = |i: usize, n: usize, size: usize| {
-            (size as f64 - 1.0) / 2.0 + (i as f64 - (n as f64 - 1.0) / 2.0) * m.array.pitch_px
-        };
-        let (rows, cols) = (m.array.rows, m.array.cols);
-        let lens = |l: usize| [at(l / cols, rows, m.sensor.rows), at(l % cols, cols, m.sensor.cols)];
-        (0..rows * cols).map(lens).collect::<Vec<_>>()
-    };
-    let anchors = if lattice.lenses_px.is_empty() { nominal() } else { lattice.lenses_px.clone() };
+    let anchors = if lattice.lenses_px.is_empty() { m.array.places_px(&m.sensor) } else { lattice.lenses_px.clone() };
     let dim = scan.frames.first().map_or((0, 0), |f| f.light.dim());
     let mut shown = Shown { pairs: Vec::new(), light: Array2::zeros(dim), bin: scan.bin };
     for (n, f) in scan.frames.iter().enumerate() {

@@ -70,7 +70,6 @@ pub struct Forward {
     geometry: ChiefRays,
     /// Where the axis of each lens meets the sensor, [row, col], px.
     axes_px: Vec<[f64; 2]>,
-    array: [usize; 2],
     layout: Layout,
     object_pixel_um: f64,
     pixel_pitch_um: f64,
@@ -135,7 +134,6 @@ impl Forward {
             changes: Changes::default(),
             geometry: instrument.geometry.clone(),
             axes_px: axes_px(instrument),
-            array: [manifest.array.rows, manifest.array.cols],
             layout: Layout::of(manifest),
             object_pixel_um: manifest.object.pixel_um,
             pixel_pitch_um: manifest.sensor.pixel_pitch_um,
@@ -192,7 +190,6 @@ impl Forward {
         FrameContext {
             exposure_ms: self.exposure_ms,
             illumination: 1.0,
-            array: self.array,
             anchors_px: &self.geometry.anchors_px,
             axes_px: &self.axes_px,
             pixel_pitch_um: self.pixel_pitch_um,

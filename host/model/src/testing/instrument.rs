@@ -19,7 +19,7 @@ pub fn instrument(object: [usize; 2], sensor: [usize; 2], window: usize, rank: u
             format: 1,
             name: "made up".into(),
             sensor: SensorSpec { rows: sensor[0], cols: sensor[1], pixel_pitch_um: 1.0, bit_depth: 12 },
-            array: ArrayGeometry { rows: 1, cols: 2, pitch_px: 7.0 },
+            array: ArrayGeometry::grid(1, 2, 7.0),
             optics: Optics { magnification: 1.0, psf_window_px: window, wavelength_um: None },
             object: ObjectGrid { rows: object[0], cols: object[1], pixel_um: 1.0 },
             stacks: Vec::new(),

@@ -16,7 +16,7 @@ pub fn square_array(side: usize, sensor: [usize; 2], object: [usize; 2]) -> Inst
     let mut basis = Array4::zeros((lenses, 1, 3, 3));
     basis.slice_mut(ndarray::s![.., .., 1, 1]).fill(1.0);
     let mut instrument = super::instrument(object, sensor, 3, 1);
-    instrument.manifest.array = ArrayGeometry { rows: side, cols: side, pitch_px: 20.0 };
+    instrument.manifest.array = ArrayGeometry::grid(side, side, 20.0);
     instrument.geometry.anchors_px = (0..lenses).map(anchor).collect();
     instrument.geometry.dead = vec![false; lenses];
     instrument.psf.basis = basis;

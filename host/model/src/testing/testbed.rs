@@ -68,7 +68,7 @@ impl Testbed {
                 format: 1,
                 name: "analytic foci".into(),
                 sensor: SensorSpec { rows: 118, cols: 122, pixel_pitch_um: 2.0, bit_depth: 12 },
-                array: ArrayGeometry { rows: 2, cols: 2, pitch_px: 42.0 },
+                array: ArrayGeometry::grid(2, 2, 42.0),
                 optics: Optics { magnification: 0.5, psf_window_px: 15, wavelength_um: None },
                 object: ObjectGrid { rows: 48, cols: 50, pixel_um: 4.0 },
                 stacks: Vec::new(),

@@ -20,8 +20,6 @@ pub struct FrameContext<'a> {
     pub temperature_c: f64,
     /// Lens whose image is being formed, counted row by row; stages `Geometry` and `Lens` only.
     pub lens: usize,
-    /// Rows and columns of lenses.
-    pub array: [usize; 2],
     /// Anchors (the foci of the on-axis source), one (row, col) for each lens, sensor pixels.
     pub anchors_px: &'a [[f64; 2]],
     /// Where the axis of each lens meets the sensor, one (row, col) for each lens, sensor pixels.
@@ -67,7 +65,6 @@ impl Default for FrameContext<'_> {
             illumination: 1.0,
             temperature_c: 20.0,
             lens: 0,
-            array: [1, 1],
             anchors_px: &[],
             axes_px: &[],
             pixel_pitch_um: 1.0,

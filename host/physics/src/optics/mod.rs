@@ -44,6 +44,6 @@ mod pupil;
 mod zernike;
 
 pub use error::OpticsError;
-pub use geometry::{ArrayLayout, MicrolensArray};
+pub use geometry::MicrolensArray;
 pub use pupil::{Psf, PsfScratch, Pupil, PupilConfig};
 pub use zernike::{NOLL_COUNT, Wavefront, noll, zernike};

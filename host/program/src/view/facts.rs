@@ -24,7 +24,13 @@ pub fn of_manifest(m: &Manifest) -> Facts {
             "sensor",
             format!("{} × {} pixels of {} um, {} bit", s.rows, s.cols, number(s.pixel_pitch_um), s.bit_depth),
         ),
-        fact("lenses", format!("{} × {}", a.rows, a.cols)),
+        fact(
+            "lenses",
+            match a.lenses_px {
+                None => format!("{} × {}", a.rows, a.cols),
+                Some(_) => a.lenses().to_string(),
+            },
+        ),
         fact("object", format!("{} × {} pixels of {} um", o.rows, o.cols, number(o.pixel_um))),
         fact("magnification", number(m.optics.magnification)),
     ]

@@ -87,7 +87,7 @@ fn manifest() -> Manifest {
         format: 1,
         name: "tiny".into(),
         sensor: SensorSpec { rows: ROWS, cols: ROWS, pixel_pitch_um: 1.85, bit_depth: 12 },
-        array: ArrayGeometry { rows: 3, cols: 3, pitch_px: PITCH },
+        array: ArrayGeometry::grid(3, 3, PITCH),
         optics: Optics { magnification: 1.85 / PIXEL_UM, psf_window_px: 9, wavelength_um: None },
         object: ObjectGrid { rows: OBJECT, cols: OBJECT, pixel_um: PIXEL_UM },
         stacks: Vec::new(),

@@ -125,14 +125,14 @@ fn charts(e: &Effect, instrument: Option<&Instrument>, numbers: &mut Numbers) ->
 fn row(e: &Effect, name: &str, values: &[&Value], instrument: Option<&Instrument>, numbers: &mut Numbers) -> Markup {
     let n = values.len();
     let at = |i: usize| (i as f64 + 0.5) / n as f64;
-    let cols = instrument.filter(|i| i.geometry.anchors_px.len() == n).map(|i| i.manifest.array.cols.max(1));
-    let label = |i: usize| cols.map_or_else(|| (i + 1).to_string(), |c| format!("{}, {}", i / c + 1, i % c + 1));
+    let array = instrument.filter(|i| i.geometry.anchors_px.len() == n).map(|i| &i.manifest.array);
+    let label = |i: usize| array.map_or_else(|| (i + 1).to_string(), |a| a.lens_name(i));
     let every = n.div_ceil(10);
     let panel = Panel {
         alt: format!("{} of {} by index", words::param(name), words::name(&e.id)),
         size: [520.0, 210.0],
         labels: (0..n).step_by(every).map(|i| (at(i), label(i))).collect(),
-        x_name: if cols.is_some() { "lens (row, column)".into() } else { "index".into() },
+        x_name: if array.is_some() { "lens".into() } else { "index".into() },
         band: Vec::new(),
         series: vec![Series {
             class: "value",

@@ -1,7 +1,7 @@
 //! Residual maps cut out around each lens, which separate errors of one lens from errors common to all.
 
 use super::super::ReportError;
-use super::super::look::residuals;
+use super::super::look::{residuals, tile_columns};
 use super::super::page::Numbers;
 use super::super::picture::picture;
 use super::Asked;
@@ -32,11 +32,11 @@ pub fn maps(
         let common = common(residual);
         let smooth = smoothed(common.view());
         let tiles = anchors.iter().enumerate().map(|(l, anchor)| {
-            let (i, j) = (l / array.cols.max(1) + 1, l % array.cols.max(1) + 1);
-            let alt = format!("{name}, lens {i}, {j}");
+            let lens = array.lens_name(l);
+            let alt = format!("{name}, lens {lens}");
             let dead = instrument.geometry.dead.get(l).copied().unwrap_or(false);
             let crop = |image: ArrayView2<'_, f32>| cut(image, *anchor, array.pitch_px);
-            let label = format!("{i}, {j}{}", if dead { " (dead)" } else { "" });
+            let label = format!("{lens}{}", if dead { " (dead)" } else { "" });
             Ok::<_, ReportError>(html! {
                 div.plate {
                     p.name { (label) span { "rms " (format!("{:.2}", super::maps::rms(crop(common.view()).view()))) } }
@@ -47,7 +47,7 @@ pub fn maps(
         let tiles = tiles.collect::<Result<Vec<_>, _>>()?;
         Ok(html! {
             div { p.half { (name) }
-                div.tiles style={ "grid-template-columns:repeat(" (array.cols.max(1)) ",1fr)" } {
+                div.tiles style={ "grid-template-columns:repeat(" (tile_columns(array)) ",1fr)" } {
                     @for t in tiles { (t) }
                 } }
         })
@@ -56,8 +56,8 @@ pub fn maps(
     let after = if asked == Asked::Close { Some(plate("After", &account.after)?) } else { None };
     let body = html! { div.halves { (before) @if let Some(a) = after { (a) } } (residuals().bar("σ")) };
     let text = format!(
-        "Sections of the sensor around each lens (row, column), one pitch of {:.0} pixels wide. The residuals of the \
-         {} above are averaged and multiplied by the square root of their number, then smoothed over 5 × 5 pixels as \
+        "Sections of the sensor around each lens (row, column; its number where the lenses form no grid), one pitch of {:.0} \
+         pixels wide. The residuals of the {} above are averaged and multiplied by the square root of their number, then smoothed over 5 × 5 pixels as \
          above. Errors of one lens show in one tile, errors common to the optics in all. rms: of the average, pixel by \
          pixel; 1 for noise.",
         array.pitch_px,

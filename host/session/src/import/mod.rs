@@ -306,7 +306,7 @@ fn manifest(request: &ImportRequest<'_>, first: &Opened) -> Result<Manifest, Ses
         format: 1,
         name: stem,
         sensor: SensorSpec { rows, cols, pixel_pitch_um: pixel_um, bit_depth: 16 },
-        array: ArrayGeometry { rows: 1, cols: 1, pitch_px: 0.0 },
+        array: ArrayGeometry::grid(1, 1, 0.0),
         optics: Optics {
             magnification: 1.0,
             psf_window_px: 15.min(side - usize::from(side % 2 == 0)),

@@ -26,7 +26,6 @@ fn context(previous: &Array2<f32>) -> FrameContext<'_> {
         time_s: 3.0,
         exposure_ms: 10.0,
         temperature_c: 30.0,
-        array: [1, 2],
         anchors_px: &ANCHORS,
         axes_px: &AXES,
         pixel_pitch_um: 2.0,

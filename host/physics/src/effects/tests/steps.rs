@@ -36,7 +36,6 @@ fn steps_are_a_few_sigma_of_one_typical_frame() {
         frame: 1,
         time_s: 0.1,
         exposure_ms: 10.0,
-        array: [3, 3],
         anchors_px: &anchors,
         axes_px: &axes,
         pixel_pitch_um: 1.85,
