@@ -1,7 +1,7 @@
 //! Every verb is killed at random times, as the system kills a program (SIGKILL): no input changes, each output is
 //! whole or absent, and the same command then ends in the same bytes and leaves no unfinished file behind.
 //!
-//! `OMMATIDIA_KILLS` sets how often each verb is killed (default: 6).
+//! `OMMATIDIA_KILLS` sets how often each verb is killed (default: 4).
 #![cfg(unix)]
 #![allow(clippy::unwrap_used)]
 
@@ -51,7 +51,7 @@ fn is_intermediate(verb: &Verb) -> bool {
 
 /// Kills a verb, at times that depend on the name of the test.
 fn loses_nothing(name: &str, verb: &Verb) {
-    let kills: u64 = std::env::var("OMMATIDIA_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(6);
+    let kills: u64 = std::env::var("OMMATIDIA_KILLS").ok().and_then(|n| n.parse().ok()).unwrap_or(4);
     let whole = desk::new();
     let before = contents(whole.path());
     let begin = Instant::now();

@@ -10,7 +10,7 @@ use std::process::{Command, Stdio};
 
 /// The programs in `fuzz/fuzz_targets`, and how long each runs.
 const FUZZ_TARGETS: [&str; 5] = ["blob", "wire", "device", "session", "recording"];
-const FUZZ_SECONDS: u32 = 15;
+const FUZZ_SECONDS: u32 = 8;
 
 /// One step: it either counts tests or is one check.
 pub struct Step {
