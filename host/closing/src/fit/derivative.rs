@@ -62,6 +62,8 @@ pub struct LensImages {
     /// Derivative with respect to ln of the light of the frame, over the shape of its lamp: the columns of the lamp
     /// share it.
     by_lamp: Option<Array2<f32>>,
+    /// The stated light outside the windows, electrons: the slopes of it share it.
+    outside: Option<Array2<f32>>,
 }
 
 /// A chain of effects that differs from that of the state.
@@ -94,7 +96,7 @@ impl Model<'_> {
                 Column::Registration(group, part) => self.registration_derivative(k, [*group, *part], at),
                 Column::Background(stack, part) => self.background_derivative(k, [*stack, *part], at),
                 Column::Lamp(term) => self.lamp_derivative(k, *term, at, images),
-                Column::Wing(ring) => self.wing_derivative(k, *ring, at),
+                Column::Wing(ring) => self.wing_derivative(k, *ring, at, images),
                 _ => (f.shown != Shown::Unknown).then(|| Array2::ones(here.dn.dim())),
             });
         };
@@ -192,14 +194,20 @@ impl Model<'_> {
 
     /// Derivative with respect to the light of a ring outside the windows, or to a slope of it, DN per unit of its
     /// standard uncertainty.
-    fn wing_derivative(&self, k: usize, ring: usize, at: Expansion<'_>) -> Option<Array2<f32>> {
+    fn wing_derivative(
+        &self,
+        k: usize,
+        ring: usize,
+        at: Expansion<'_>,
+        images: &mut LensImages,
+    ) -> Option<Array2<f32>> {
         let (f, here) = (&self.seen.frames[k], &at.predicted[k]);
         if !matches!(f.shown, Shown::Object(_)) {
             return None;
         }
         // A hundredth of the light, far above rounding errors: the frames are nearly linear in it.
         let step = 0.01 / self.rings.get(ring).or(self.rings.first())?.2.max(f64::MIN_POSITIVE);
-        let mut wings_e = wings::piece(&here.sum_e, &self.rings, ring)? * step as f32;
+        let mut wings_e = wings::piece(&here.sum_e, &self.rings, ring, &mut images.outside)? * step as f32;
         here.wings_e.iter().for_each(|now| wings_e += now);
         let (state, chain) = (at.state, self.chain_of(k, &at.state.terms));
         let previous = f.previous.map(|p| at.predicted[p].alone_e()).filter(|_| chain.needs_previous());

@@ -7,7 +7,7 @@
 
 use super::cell::Cell;
 use super::derivative::{Expansion, Varied};
-use super::features::{FEATURES, Features, features};
+use super::features::{FEATURES, Features, TAILS, features, lines, tails, without_tails};
 use super::kurtosis::kurtosis_variance;
 use super::model::Model;
 use super::same::{SMOOTH_PX, shows_the_same};
@@ -25,8 +25,6 @@ use rayon::prelude::*;
 /// Standard error of a feature that is not measured: a million times that of a measured one, and no more, since both
 /// share a covariance matrix whose inverse must hold the small one to many digits.
 const UNKNOWN: f64 = 1e4;
-/// Index of the excess kurtosis.
-const TAILS: usize = 4;
 /// Standardised features that are smaller are those of [`UNKNOWN`] errors.
 const SHOWN: f64 = 1e-2;
 /// Differences beyond so many standard deviations are no normal noise, where there are a few of them.
@@ -35,7 +33,7 @@ const FEW: usize = 3;
 /// Noise with a smaller standard deviation, DN, is known to the converter in few codes.
 const COARSE_DN: f64 = 1.0;
 /// Number of noise frames that are drawn for each level.
-const DRAWN: u64 = 2;
+const DRAWN: usize = 2;
 
 /// Pairs of repeats of the same light.
 struct Level {
@@ -47,15 +45,29 @@ struct Level {
 
 impl Level {
     /// Features of a standardised difference, [sensor rows, sensor cols].
-    fn features(&self, d: Array2<f32>) -> Features {
-        if !self.unknown {
-            return features(d);
-        }
-        // The change of a specimen from one frame to the next is smooth.
-        let sharp = &d - &blur_within(&d, SMOOTH_PX);
-        let [.., rows, cols] = features(sharp);
-        [0.0, 0.0, 0.0, 0.0, 0.0, rows, cols]
+    fn features(&self, d: &Array2<f32>) -> Features {
+        if self.unknown { of_lines(d) } else { features(d) }
     }
+
+    /// Those of noise that was drawn twice for one frame: the mean of both, and the kurtosis of their difference, which
+    /// is not that of one frame.
+    fn features_of(&self, drawn: [Array2<f32>; DRAWN]) -> Features {
+        let of = if self.unknown { of_lines } else { without_tails };
+        let [first, second] = drawn.each_ref().map(of);
+        let mut all: Features = std::array::from_fn(|f| 0.5 * (first[f] + second[f]));
+        if !self.unknown {
+            let [first, second] = drawn;
+            all[TAILS] = tails(&((second - first) * std::f32::consts::FRAC_1_SQRT_2));
+        }
+        all
+    }
+}
+
+/// Of a difference of an unknown specimen only the variances common to rows and to columns: the change of a specimen
+/// from one frame to the next is smooth.
+fn of_lines(d: &Array2<f32>) -> Features {
+    let ([rows, cols], _) = lines(&(d - &blur_within(d, SMOOTH_PX)));
+    [0.0, 0.0, 0.0, 0.0, 0.0, rows, cols]
 }
 
 /// The cells of the covariance channel: one of the training pairs, one of the held-out pairs. Their indices of frame
@@ -227,7 +239,7 @@ fn levels(model: &Model<'_>, held_out: bool, now: &[Predicted]) -> Vec<Level> {
 
 /// Features of the measured pairs of a level.
 fn measured(now: &[Predicted], model: &Model<'_>, level: &Level) -> Features {
-    let one = |pair: &(usize, usize)| level.features(standardised(model, now, *pair, level.unknown));
+    let one = |pair: &(usize, usize)| level.features(&standardised(model, now, *pair, level.unknown));
     let all: Vec<Features> = level.pairs.iter().map(one).collect();
     std::array::from_fn(|f| {
         let mut values: Vec<f64> = all.iter().map(|v| v[f]).collect();
@@ -389,23 +401,14 @@ impl Sampling {
 
 /// Features of noise drawn for a level under a chain. The random numbers do not depend on the chain.
 fn noise_features(model: &Model<'_>, chain: &Chain, level: &Level, now: &[Predicted]) -> Features {
-    let mut sum = [0.0; FEATURES];
-    let Some((a, _)) = level.pairs.first() else { return sum };
-    let draw = |i: u64| {
-        let mut rngs = ["noise features", "reading"].map(|what| stream(0x5eed, what, DRAWN * *a as u64 + i));
+    let Some((a, _)) = level.pairs.first() else { return [0.0; FEATURES] };
+    let draw = |i: usize| {
+        let mut rngs = ["noise features", "reading"].map(|what| stream(0x5eed, what, (DRAWN * *a + i) as u64));
         let mut d = noise_dn(model, chain, *a, &now[*a].light_e, &mut rngs);
         d.zip_mut_with(&now[*a].inverse_sigma, |d, w| *d *= w);
         d
     };
-    let drawn: Vec<Array2<f32>> = (0..DRAWN).map(draw).collect();
-    for d in &drawn {
-        sum.iter_mut().zip(level.features(d.clone())).for_each(|(s, f)| *s += f / DRAWN as f64);
-    }
-    // The kurtosis of a difference is not that of one frame.
-    if let [first, second, ..] = &drawn[..] {
-        sum[4] = level.features((second - first) * std::f32::consts::FRAC_1_SQRT_2)[4];
-    }
-    sum
+    level.features_of(std::array::from_fn(draw))
 }
 
 /// Noise of frame `k` at a given light, DN, [sensor rows, sensor cols], with the effects of a chain on counted

@@ -64,7 +64,7 @@ pub(super) fn light(image: &Array2<f32>, rings: &[Ring], state: &State) -> Optio
     let lit = rings.iter().zip(&state.wings).filter(|(_, v)| **v != 0.0);
     let squares: Vec<Square> =
         lit.flat_map(|((inner, outer, share), value)| squares(*inner, *outer, share * value)).collect();
-    let light = (!squares.is_empty()).then(|| summed(image, &squares));
+    let light = (!squares.is_empty()).then(|| summed(image, squares));
     let slopes = state.wings.get(rings.len()..).unwrap_or_default();
     if slopes.iter().all(|v| *v == 0.0) {
         return light;
@@ -78,13 +78,18 @@ pub(super) fn light(image: &Array2<f32>, rings: &[Ring], state: &State) -> Optio
 }
 
 /// Light in the unit of an image that one standard uncertainty of value `i` ([`columns`]) adds. None: there is no such
-/// value.
-pub(super) fn piece(image: &Array2<f32>, rings: &[Ring], i: usize) -> Option<Array2<f32>> {
+/// value. The slopes share the stated light, which is kept for the next of the same image.
+pub(super) fn piece(
+    image: &Array2<f32>,
+    rings: &[Ring],
+    i: usize,
+    kept: &mut Option<Array2<f32>>,
+) -> Option<Array2<f32>> {
     if let Some((inner, outer, share)) = rings.get(i) {
         return Some(spread(image, *inner, *outer) * *share as f32);
     }
     let slope = i.checked_sub(rings.len()).filter(|s| *s < SLOPES && !rings.is_empty())?;
-    let mut light = stated(image, rings);
+    let mut light = kept.get_or_insert_with(|| stated(image, rings)).clone();
     light.indexed_iter_mut().for_each(|(at, v)| *v *= (UNEVEN * slope_shapes(image.dim(), at)[slope]) as f32);
     Some(light)
 }
@@ -92,7 +97,7 @@ pub(super) fn piece(image: &Array2<f32>, rings: &[Ring], i: usize) -> Option<Arr
 /// The stated light outside the windows, in the unit of an image.
 fn stated(image: &Array2<f32>, rings: &[Ring]) -> Array2<f32> {
     let all: Vec<Square> = rings.iter().flat_map(|(inner, outer, share)| squares(*inner, *outer, *share)).collect();
-    summed(image, &all)
+    summed(image, all)
 }
 
 /// The shapes of the slopes at a pixel: from -1 to 1 along each axis, and from 0 to 1 from the centre to the corners.
@@ -130,7 +135,7 @@ pub(super) fn range(i: usize) -> [f64; 2] {
 /// `outer`, px: its brightness falls as the fourth power of the distance, in steps. Light that falls off the image is
 /// lost.
 pub(super) fn spread(image: &Array2<f32>, inner: usize, outer: usize) -> Array2<f32> {
-    summed(image, &squares(inner, outer, 1.0))
+    summed(image, squares(inner, outer, 1.0))
 }
 
 /// A square round each pixel: its half side, px, and the factor on the light in it.
@@ -156,7 +161,14 @@ fn squares(inner: usize, outer: usize, share: f64) -> Vec<Square> {
 
 /// For each pixel the sum of the light in squares round it, each with its factor, by sums over rectangles from the
 /// first pixel (Crow, Computer Graphics 18, 207, 1984).
-fn summed(image: &Array2<f32>, squares: &[Square]) -> Array2<f32> {
+fn summed(image: &Array2<f32>, mut squares: Vec<Square>) -> Array2<f32> {
+    // The outer square of a step is the inner one of the next.
+    squares.sort_by_key(|(half, _)| *half);
+    squares.dedup_by(|next, kept| {
+        let same = next.0 == kept.0;
+        kept.1 += if same { next.1 } else { 0.0 };
+        same
+    });
     let (rows, cols) = image.dim();
     let mut sums = Array2::<f64>::zeros((rows + 1, cols + 1));
     for r in 0..rows {
@@ -170,7 +182,7 @@ fn summed(image: &Array2<f32>, squares: &[Square]) -> Array2<f32> {
     let (mut band, mut sum) = (vec![0.0f64; cols + 1], vec![0.0f64; cols]);
     for r in 0..rows {
         sum.fill(0.0);
-        for (half, factor) in squares {
+        for (half, factor) in &squares {
             // The light of the rows of the square, left of each column.
             let below = sums.row((r + half + 1).min(rows));
             let above = sums.row(r.saturating_sub(*half));
@@ -215,12 +227,16 @@ mod tests {
         let light = stated(&image, &rings);
         // Far from the edges, where all of the light of the first ring arrives.
         assert!((f64::from(light[[30, 30]]) / 2.0 - 0.02).abs() < 2e-3, "{}", light[[30, 30]]);
-        let by_radius = piece(&image, &rings, 5).unwrap();
+        let by_radius = piece(&image, &rings, 5, &mut None).unwrap();
         assert!(by_radius[[30, 30]].abs() < 1e-9);
         assert!((by_radius[[0, 0]] / light[[0, 0]] - 0.5).abs() < 1e-5);
-        let along_rows = piece(&image, &rings, 3).unwrap();
+        let along_rows = piece(&image, &rings, 3, &mut None).unwrap();
         assert!((along_rows[[60, 7]] / light[[60, 7]] - 0.5).abs() < 1e-5);
-        assert!(piece(&image, &rings, 6).is_none() && piece(&image, &[], 0).is_none() && values(&[]) == 0);
+        assert!(
+            piece(&image, &rings, 6, &mut None).is_none()
+                && piece(&image, &[], 0, &mut None).is_none()
+                && values(&[]) == 0
+        );
         assert_eq!(range(5), [-2.0, 2.0]);
     }
 

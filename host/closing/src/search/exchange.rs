@@ -20,8 +20,8 @@ const TRIED: usize = 2;
 
 impl Search<'_, '_> {
     /// Exchanges found effects of the catalogue, where there are two or more, until none is better replaced. Searches on
-    /// after each exchange. Does nothing beside estimated specimens: each trial would need them anew, and what they take
-    /// of an effect differs from one to the next.
+    /// after each exchange. Does nothing beside estimated specimens: each trial would have to estimate them again, and
+    /// what they take of an effect differs from one to the next.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.

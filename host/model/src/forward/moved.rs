@@ -1,7 +1,7 @@
 //! The image of a lens as effects on chief rays move it: displaced, out of focus, and with PSFs of another size.
 
 use super::growth::{Growth, less_stretch};
-use super::shift_map::shift_map;
+use super::shift_map::{Shifts, shift_map};
 use super::{Forward, SceneLight, warp};
 use crate::psf::LensImage;
 use crate::psf::nodes::Taps;
@@ -34,18 +34,29 @@ impl Forward {
         if !effects.acts_at(Stage::Geometry) && [dy, dx] == [0.0, 0.0] && z == own {
             return Some(image);
         }
-        let mut shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx });
-        shifts.mapv_inplace(|s| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s });
+        let shape = image.light.dim();
+        let shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx }).displaced([dy, dx]);
         // A single plane holds for all depths.
-        if planes.len() > 1 && shifts.iter().any(|s| z + s.z_um != own) {
-            self.refocus(scene, lens, (effects, cx), &shifts, (&mut image, electrons));
+        if planes.len() > 1 && shifts.any(|s| z + s.z_um != own) {
+            self.refocus(scene, lens, (effects, cx), &shifts.over(shape), (&mut image, electrons));
         }
         if let Some(change) = self.wavefront_change(scene, lens, effects, cx) {
             image.light.scaled_add(electrons, &change.light);
         }
-        self.grow(scene, lens, &mut shifts, (&mut image, electrons));
-        if shifts.iter().any(|s| s.px != [0.0, 0.0]) {
-            image.light = warp::warp(&image.light, &shifts.mapv(|s| s.px));
+        match shifts {
+            // It neither grows PSFs nor stretches the image.
+            Shifts::Even(shift) if shift.growth == 0.0 => {
+                if shift.px != [0.0, 0.0] {
+                    image.light = warp::shifted(&image.light, shift.px);
+                }
+            }
+            shifts => {
+                let mut shifts = shifts.into_map(shape);
+                self.grow(scene, lens, &mut shifts, (&mut image, electrons));
+                if shifts.iter().any(|s| s.px != [0.0, 0.0]) {
+                    image.light = warp::warp(&image.light, &shifts.mapv(|s| s.px));
+                }
+            }
         }
         Some(image)
     }
@@ -128,7 +139,7 @@ impl Forward {
     }
 
     /// The displacement of the chief ray that ends on each pixel of a lens's image.
-    fn shifts(&self, lens: usize, image: &LensImage, effects: &Chain, cx: &FrameContext<'_>) -> Array2<RayShift> {
+    fn shifts(&self, lens: usize, image: &LensImage, effects: &Chain, cx: &FrameContext<'_>) -> Shifts {
         let of = |at: [f64; 2]| effects.shift_ray(&self.ray(lens, at), cx);
         shift_map(image.light.dim(), |from_first| {
             let at = [0, 1].map(|a| image.origin[a] as f64 + from_first[a]);

@@ -6,6 +6,7 @@
 
 use ndarray::{Array2, Axis};
 use ommatidia_physics::effects::RayShift;
+use std::borrow::Cow;
 
 /// Distance between the rays that are followed, px.
 const SPACING_PX: usize = 4;
@@ -15,9 +16,57 @@ const TAPS: usize = 4;
 /// Displacement (row, col, along the axis) and growth, the parts of a [`RayShift`].
 type Parts = [f64; 4];
 
+/// The shifts of the rays that end on the pixels of an image.
+pub(super) enum Shifts {
+    /// All are the same.
+    Even(RayShift),
+    /// One for each pixel.
+    Map(Array2<RayShift>),
+}
+
+impl Shifts {
+    /// With a displacement more, px.
+    pub(super) fn displaced(self, [dy, dx]: [f64; 2]) -> Self {
+        let more = |s: RayShift| RayShift { px: [s.px[0] + dy, s.px[1] + dx], ..s };
+        match self {
+            Self::Even(shift) => Self::Even(more(shift)),
+            Self::Map(mut map) => {
+                if [dy, dx] != [0.0, 0.0] {
+                    map.mapv_inplace(more);
+                }
+                Self::Map(map)
+            }
+        }
+    }
+
+    /// Whether any of them is so.
+    pub(super) fn any(&self, is: impl Fn(&RayShift) -> bool) -> bool {
+        match self {
+            Self::Even(shift) => is(shift),
+            Self::Map(map) => map.iter().any(is),
+        }
+    }
+
+    /// [`Self::over`] an image of `shape`, to be changed.
+    pub(super) fn into_map(self, shape: (usize, usize)) -> Array2<RayShift> {
+        match self {
+            Self::Even(shift) => Array2::from_elem(shape, shift),
+            Self::Map(map) => map,
+        }
+    }
+
+    /// One for each pixel of an image of `shape`.
+    pub(super) fn over(&self, shape: (usize, usize)) -> Cow<'_, Array2<RayShift>> {
+        match self {
+            Self::Even(shift) => Cow::Owned(Array2::from_elem(shape, *shift)),
+            Self::Map(map) => Cow::Borrowed(map),
+        }
+    }
+}
+
 /// The shifts of the rays that end on the pixels of an image of `shape`, by those of the rays that end on the places
 /// [row, col] that `at` is called with, px from the first pixel; these reach a little beyond the image.
-pub(super) fn shift_map(shape: (usize, usize), at: impl Fn([f64; 2]) -> RayShift) -> Array2<RayShift> {
+pub(super) fn shift_map(shape: (usize, usize), at: impl Fn([f64; 2]) -> RayShift) -> Shifts {
     let (rows, cols) = shape;
     // One before the first pixel and two after the last one that starts an interval.
     let count = |n: usize| n.saturating_sub(1) / SPACING_PX + TAPS;
@@ -25,10 +74,13 @@ pub(super) fn shift_map(shape: (usize, usize), at: impl Fn([f64; 2]) -> RayShift
     let followed = Array2::from_shape_fn((count(rows), count(cols)), |(i, j)| parts(at([place(i), place(j)])));
     // Differences from one of them: a shift that is the same everywhere stays the same in each bit.
     let first = followed[[0, 0]];
+    if followed.iter().all(|v| *v == first) {
+        return Shifts::Even(shift(first));
+    }
     let differences = followed.mapv(|v| zip(v, first, |v, f| v - f));
     let weights: [[f64; TAPS]; SPACING_PX] = std::array::from_fn(|i| lagrange(i as f64 / SPACING_PX as f64));
     let along_cols = interpolated(&differences, Axis(1), cols, &weights);
-    interpolated(&along_cols, Axis(0), rows, &weights).mapv(|v| shift(zip(v, first, |v, f| v + f)))
+    Shifts::Map(interpolated(&along_cols, Axis(0), rows, &weights).mapv(|v| shift(zip(v, first, |v, f| v + f))))
 }
 
 /// The values at the first `n` pixels of an axis, by those at its nodes.
@@ -75,7 +127,8 @@ mod tests {
             growth: 1e-3 * x,
         };
         for shape in [(1, 1), (8, 9), (17, 40), (110, 107)] {
-            let map = shift_map(shape, cubic);
+            let shifts = shift_map(shape, cubic);
+            let map = shifts.over(shape);
             assert_eq!(map.dim(), shape);
             for ((r, c), found) in map.indexed_iter() {
                 let want = parts(cubic([r as f64, c as f64]));
@@ -84,7 +137,7 @@ mod tests {
             }
         }
         let even = RayShift { px: [0.1, -0.7], z_um: 1.0 / 3.0, growth: 0.0 };
-        assert!(shift_map((31, 20), |_| even).iter().all(|s| *s == even));
+        assert!(matches!(shift_map((31, 20), |_| even), Shifts::Even(s) if s == even));
     }
 
     /// A strong distortion followed backwards, as the forward model does it: q = x + d(x), solved for x.
@@ -103,7 +156,8 @@ mod tests {
             }
             RayShift::by_px(px)
         };
-        let map = shift_map((110, 110), inverse);
+        let shifts = shift_map((110, 110), inverse);
+        let map = shifts.over((110, 110));
         let error = |((r, c), s): ((usize, usize), &RayShift)| {
             let want = inverse([r as f64, c as f64]).px;
             (s.px[0] - want[0]).hypot(s.px[1] - want[1])

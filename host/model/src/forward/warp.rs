@@ -47,7 +47,7 @@ pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32>
 }
 
 /// [`warp`] by the same displacement everywhere: along the columns, then along the rows.
-fn shifted(image: &Array2<f32>, d: [f64; 2]) -> Array2<f32> {
+pub(super) fn shifted(image: &Array2<f32>, d: [f64; 2]) -> Array2<f32> {
     if d == [0.0, 0.0] {
         return image.clone();
     }

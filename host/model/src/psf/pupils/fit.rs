@@ -6,7 +6,7 @@
 
 use super::kernel::{Kernel, Pupil, Waves};
 use super::{EVEN, FUNCTIONS, SQUARES, TERMS, field};
-use ndarray::{Array1, Array2, Axis, s};
+use ndarray::{Array1, Array2, s};
 use ommatidia_physics::linalg::{least_squares, symmetric_eigen};
 use rayon::prelude::*;
 
@@ -184,18 +184,29 @@ fn improved(kernel: &Kernel, start: LensPupil, places: &[Place], (rounds, edge):
         let waves = kernel.waves(side, now.radius);
         let mut own = Vec::with_capacity(places.len());
         for (place, tilt) in places.iter().zip(&tilts) {
-            let (mut rows, mut off) = slopes_at((kernel, &waves), &now, (place, *tilt), unknowns);
+            let (slopes, off) = slopes_at((kernel, &waves), &now, (place, *tilt));
+            let (mut gram, mut lacks) = (slopes.dot(&slopes.t()), slopes.dot(&off));
             if edge == Edge::OfDesign {
-                rows.row_mut(TERMS * functions).fill(0.0);
+                gram.row_mut(TERMS).fill(0.0);
+                gram.column_mut(TERMS).fill(0.0);
+                lacks[TERMS] = 0.0;
             }
-            own.push(Tilt::out_of(&mut rows, &mut off, functions));
-            normal += &rows.dot(&rows.t());
-            right += &rows.dot(&off);
+            let tilt = Tilt::out_of(&mut gram, &mut lacks);
+            // The derivative by a coefficient is that by its term, times its function of the field.
+            let of = coefficients(place.at, functions);
+            for (i, (a, by_a)) in of.iter().enumerate() {
+                right[i] += by_a * lacks[*a];
+                for (j, (b, by_b)) in of.iter().enumerate() {
+                    normal[[i, j]] += by_a * by_b * gram[[*a, *b]];
+                }
+            }
+            own.push((tilt, of));
         }
         let mut better = None;
         for _ in 0..6 {
             let stepped = solved(&normal, &right, damping).and_then(|step| {
-                let tilts: Vec<[f64; 2]> = own.iter().zip(&tilts).map(|(own, tilt)| own.after(&step, *tilt)).collect();
+                let tilts: Vec<[f64; 2]> =
+                    own.iter().zip(&tilts).map(|((own, of), tilt)| own.after(&step, of, *tilt)).collect();
                 Some((moved(&now, &step)?, tilts))
             });
             let found =
@@ -229,36 +240,48 @@ fn with_tilts(mut lens: LensPupil, places: &[Place], tilts: &[[f64; 2]]) -> Lens
     lens
 }
 
-/// The tilt of a place, linearised beside all other unknowns.
+/// Number of derivatives of the PSF at a place: by the terms there, the apodisation, and the logarithm of the radius.
+const SLOPES: usize = TERMS + 2;
+
+/// The derivative at a place that each unknown of a lens goes with, by its index, and the factor on it.
+fn coefficients(at: [f64; 2], functions: usize) -> Vec<(usize, f64)> {
+    let values = field(at);
+    let of_terms = (0..TERMS).flat_map(|k| values.iter().take(functions).map(move |value| (k, *value)));
+    of_terms.chain([(TERMS, 1.0), (TERMS + 1, 1.0)]).collect()
+}
+
+/// The tilt of a place, linearised beside all other derivatives there.
 struct Tilt {
     /// Inverse of the Gram matrix of the derivatives by the two tilts.
     inverse: [[f64; 2]; 2],
-    /// Products of these with the derivatives by all unknowns, [2, unknown].
-    across: Array2<f64>,
+    /// Products of these with all derivatives; zero with themselves.
+    across: [[f64; SLOPES]; 2],
     /// Products of these with what the PSF lacks.
     lacks: [f64; 2],
 }
 
 impl Tilt {
-    /// Takes what a tilt can make out of the derivatives of a place, [unknown, pixel], and out of what its PSF lacks,
-    /// [pixel]. The tilts of the lens are not fitted beside it.
-    fn out_of(rows: &mut Array2<f64>, off: &mut Array1<f64>, functions: usize) -> Self {
-        // The first function of the field is one.
-        let tilts = rows.select(Axis(0), &[0, functions]);
-        rows.slice_mut(s![..2 * functions, ..]).fill(0.0);
-        let gram = tilts.dot(&tilts.t());
+    /// Takes what a tilt can make out of the Gram matrix of the derivatives of a place, and out of their products with
+    /// what its PSF lacks. The tilts of the lens are not fitted beside it.
+    fn out_of(gram: &mut Array2<f64>, lacks: &mut Array1<f64>) -> Self {
         let (a, b, d) = (gram[[0, 0]], gram[[0, 1]], gram[[1, 1]]);
         let determinant = a * d - b * b;
         let usable = determinant > 1e-9 * a * d;
         let by = if usable { 1.0 / determinant } else { 0.0 };
-        let inverse = [[d * by, -b * by], [-b * by, a * by]];
-        let (across, lacks) = (tilts.dot(&rows.t()), tilts.dot(off));
-        let it = Self { inverse, across, lacks: [lacks[0], lacks[1]] };
-        let solved = Array2::from_shape_fn((2, 2), |(i, j)| inverse[i][j]).dot(&it.across);
-        *rows -= &solved.t().dot(&tilts);
+        let across: [[f64; SLOPES]; 2] =
+            [0, 1].map(|t| std::array::from_fn(|k| if k < 2 { 0.0 } else { gram[[t, k]] }));
+        let it = Self { inverse: [[d * by, -b * by], [-b * by, a * by]], across, lacks: [lacks[0], lacks[1]] };
         let share = it.solve(it.lacks);
-        off.scaled_add(-share[0], &tilts.row(0));
-        off.scaled_add(-share[1], &tilts.row(1));
+        for t in 0..2 {
+            gram.row_mut(t).fill(0.0);
+            gram.column_mut(t).fill(0.0);
+            lacks[t] = 0.0;
+        }
+        for k in 2..SLOPES {
+            let solved = it.solve([across[0][k], across[1][k]]);
+            (2..SLOPES).for_each(|j| gram[[j, k]] -= across[0][j] * solved[0] + across[1][j] * solved[1]);
+            lacks[k] -= across[0][k] * share[0] + across[1][k] * share[1];
+        }
         it
     }
 
@@ -266,20 +289,19 @@ impl Tilt {
         self.inverse.map(|row| row[0] * right[0] + row[1] * right[1])
     }
 
-    /// The tilt of the place after a step of all other unknowns.
-    fn after(&self, step: &Array1<f64>, tilt: [f64; 2]) -> [f64; 2] {
-        let taken = self.across.dot(step);
+    /// The tilt of the place after a step of all other unknowns, which go with the derivatives as [`coefficients`] says.
+    fn after(&self, step: &Array1<f64>, of: &[(usize, f64)], tilt: [f64; 2]) -> [f64; 2] {
+        let taken = self.across.map(|across| of.iter().zip(step).map(|((k, by), s)| across[*k] * by * s).sum::<f64>());
         let moved = self.solve([0, 1].map(|k| self.lacks[k] - taken[k]));
         [0, 1].map(|k| tilt[k] + moved[k])
     }
 }
 
-/// Derivatives of the PSF at a place by all unknowns, [unknown, pixel], and what it lacks, [pixel]; the light is free.
+/// Derivatives of the PSF at a place, [`SLOPES`, pixel], and what it lacks, [pixel]; the light is free.
 fn slopes_at(
     (kernel, waves): (&Kernel, &Waves),
     lens: &LensPupil,
     (place, tilt): (&Place, [f64; 2]),
-    unknowns: usize,
 ) -> (Array2<f64>, Array1<f64>) {
     let (psf, slopes) = kernel.psf_and_slopes(waves, &tilted(lens.at(place.at), tilt));
     let flat = |a: &Array2<f64>| Array1::from_iter(a.iter().copied());
@@ -287,20 +309,11 @@ fn slopes_at(
     let square = model.dot(&model).max(f64::MIN_POSITIVE);
     let scale = model.dot(&wanted) / square;
     let off = &wanted - &(&model * scale);
-    let functions = lens.terms.ncols();
-    let weights = field(place.at);
-    let mut rows = Array2::zeros((unknowns, model.len()));
-    for (k, slope) in slopes.iter().enumerate() {
+    let mut rows = Array2::zeros((SLOPES, model.len()));
+    for (mut row, slope) in rows.outer_iter_mut().zip(&slopes) {
         let slope = flat(slope) * scale;
         // What another light would explain is none of the pupil's.
-        let own = &slope - &(&model * (model.dot(&slope) / square));
-        if k < TERMS {
-            for (f, w) in weights.iter().take(functions).enumerate() {
-                rows.row_mut(k * functions + f).assign(&(&own * *w));
-            }
-        } else {
-            rows.row_mut(TERMS * functions + k - TERMS).assign(&own);
-        }
+        row.assign(&(&slope - &(&model * (model.dot(&slope) / square))));
     }
     (rows, off)
 }
