@@ -156,6 +156,8 @@ impl PyInstrument {
                 done.set(done.get() + 1);
                 steps.at("calibrate", done.get(), Some(total.max(done.get())));
             })?;
+            // As the program does: its file holds them then.
+            calibration.instrument.fit_pupils();
             Ok((calibration, provenance(&session, &config, seed)?))
         })?;
         Ok(Self::new(calibration, provenance, None))

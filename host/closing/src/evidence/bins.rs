@@ -19,6 +19,31 @@ pub(crate) struct Bins {
 /// Marks a pixel without a bin.
 const NONE: u16 = u16::MAX;
 
+/// Sums of one bin that do not wait for one another: neighbours mostly lie in the same bin.
+const LANES: usize = 4;
+
+/// Sums and numbers of the residuals of one cell in each bin, in lanes.
+struct Lanes {
+    sums: Vec<[f64; LANES]>,
+    counts: Vec<[u32; LANES]>,
+}
+
+impl Lanes {
+    fn new(bins: usize) -> Self {
+        Self { sums: vec![[0.0; LANES]; bins], counts: vec![[0; LANES]; bins] }
+    }
+
+    fn clear(&mut self) {
+        self.sums.fill([0.0; LANES]);
+        self.counts.fill([0; LANES]);
+    }
+
+    /// Sum and number of a bin.
+    fn of(&self, bin: usize) -> (f64, f64) {
+        (self.sums[bin].iter().sum(), f64::from(self.counts[bin].iter().sum::<u32>()))
+    }
+}
+
 /// Statistics of the residuals in bins.
 pub(crate) struct Statistic {
     /// Sum over the bins of the squared sum of residuals over its variance, which is estimated from the scatter between
@@ -141,27 +166,22 @@ impl Bins {
         Some(Self { covariate, of, at })
     }
 
-    /// Calls `put` with bin and value of each residual of one cell: frame `f`, pixels `span`.
-    fn cell(
-        &self,
-        model: &Model<'_>,
-        residual: &[Vec<f32>],
-        f: usize,
-        span: Range<usize>,
-        put: &mut impl FnMut(usize, f32),
-    ) {
+    /// Adds the residuals of one cell, frame `f` and pixels `span`, to the sums of the bins.
+    fn add_cell(&self, model: &Model<'_>, residual: &[Vec<f32>], f: usize, span: Range<usize>, bins: &mut Lanes) {
         if self.covariate.is_product() {
             let mut product = |lag: usize, a: f32, b: f32| {
                 if a != 0.0 && b != 0.0 {
-                    put(lag, a * b);
+                    bins.sums[lag][0] += f64::from(a * b);
+                    bins.counts[lag][0] += 1;
                 }
             };
             self.products(model, residual, f, span, &mut product);
             return;
         }
-        for (b, r) in self.of[f][span.clone()].iter().zip(&residual[f][span]) {
+        for (i, (b, r)) in self.of[f][span.clone()].iter().zip(&residual[f][span]).enumerate() {
             if *b != NONE && *r != 0.0 {
-                put(*b as usize, *r);
+                bins.sums[usize::from(*b)][i % LANES] += f64::from(*r);
+                bins.counts[usize::from(*b)][i % LANES] += 1;
             }
         }
     }
@@ -200,18 +220,17 @@ impl Bins {
     pub(crate) fn statistic(&self, model: &Model<'_>, frames: &[usize], residual: &[Vec<f32>]) -> Statistic {
         let bins = self.at.len();
         let (mut total, mut square, mut count) = (vec![0.0; bins], vec![0.0; bins], vec![0.0; bins]);
+        let mut lanes = Lanes::new(bins);
         for f in 0..frames.len() {
             for span in &model.seen.blocks {
-                let (mut sum, mut n) = (vec![0.0; bins], vec![0.0; bins]);
-                self.cell(model, residual, f, span.clone(), &mut |b, v| {
-                    sum[b] += f64::from(v);
-                    n[b] += 1.0;
-                });
+                lanes.clear();
+                self.add_cell(model, residual, f, span.clone(), &mut lanes);
                 for b in 0..bins {
-                    total[b] += sum[b];
+                    let (sum, n) = lanes.of(b);
+                    total[b] += sum;
                     // At least the variance of white noise.
-                    square[b] += (sum[b] * sum[b]).max(n[b]);
-                    count[b] += n[b];
+                    square[b] += (sum * sum).max(n);
+                    count[b] += n;
                 }
             }
         }

@@ -1,7 +1,7 @@
 //! The instrument on disk: an artifact of kind `instrument`.
 
 use super::{Diagnostics, Instrument, LightUnit, Quality};
-use crate::psf::pupils::Pupils;
+use crate::psf::pupils::{Pupils, StoredPupils};
 use crate::psf::{ChiefRays, LowRankPsf};
 use ndarray::{Array, ArrayD, Dimension, Ix1, Ix2, Ix4, Ix5};
 use ommatidia_physics::effects::EffectSetting;
@@ -51,6 +51,9 @@ struct Body {
     effects: Vec<EffectSetting>,
     light_unit: LightUnit,
     quality: Quality,
+    /// Fitted pupils: a fit takes seconds. Instruments of earlier versions lack them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pupils: Option<StoredPupils>,
 }
 
 impl Instrument {
@@ -70,6 +73,7 @@ impl Instrument {
             effects: self.effects.clone(),
             light_unit: self.light_unit,
             quality: self.quality.clone(),
+            pupils: self.pupils.stored(),
         };
         let d = &self.diagnostics;
         let mut tensors = Tensors::from([
@@ -137,6 +141,16 @@ impl Instrument {
             node_cols_px: body.node_cols_px,
             exposure_ms: body.exposure_ms,
         };
+        let pupils = match body.pupils {
+            None => Pupils::default(),
+            Some(stored) => Pupils::restored(stored, &psf, &body.geometry, body.manifest.sensor.pixel_pitch_um)
+                .ok_or_else(|| InstrumentError::Field {
+                    path: path.into(),
+                    field: "pupils",
+                    expected: "pupils of these PSFs".into(),
+                    found: "others".into(),
+                })?,
+        };
         let mut replicates = Vec::new();
         for [basis, coefficients] in stored {
             let basis = take(&basis, &[Some(lenses), Some(rank), Some(window), Some(window)])?;
@@ -179,7 +193,7 @@ impl Instrument {
             replicates,
             effects,
             light_unit: body.light_unit,
-            pupils: Pupils::default(),
+            pupils,
             quality: body.quality,
             diagnostics,
         })
@@ -237,9 +251,16 @@ mod tests {
         before.light_unit = LightUnit::Truth { per_bead: 2.5 };
         let scaled = |v: f32| LowRankPsf { basis: &before.psf.basis * v, ..before.psf.clone() };
         before.replicates = vec![scaled(2.0), scaled(3.0)];
-        before.write(&path, Provenance::new("calibrate", 1, &())).unwrap();
-        let after = Instrument::read(&path).unwrap();
-        assert_eq!(format!("{before:?}"), format!("{after:?}"));
+        for fitted in [false, true] {
+            // Pupils are written where they were fitted, also where none explains the PSFs.
+            if fitted {
+                before.fit_pupils();
+            }
+            before.write(&path, Provenance::new("calibrate", 1, &())).unwrap();
+            let after = Instrument::read(&path).unwrap();
+            assert_eq!(format!("{before:?}"), format!("{after:?}"));
+            assert_eq!(after.pupils.stored().is_some(), fitted);
+        }
     }
 
     #[test]

@@ -67,7 +67,7 @@ pub struct Instrument {
     pub quality: Quality,
     /// Curves and maps of the calibration, for reports.
     pub diagnostics: Diagnostics,
-    /// The pupils that explain `psf`, fitted when an effect first needs them; no part of the file.
+    /// The pupils that explain `psf`, fitted when an effect first needs them; a part of the file once they are.
     pub pupils: Pupils,
 }
 

@@ -38,6 +38,19 @@ static DESCRIPTOR: Descriptor = Descriptor {
 /// Relative loss of charge that changes no number of single precision: a quarter of the distance of two of them.
 const LEAST_LOSS: f64 = f32::EPSILON as f64 / 8.0;
 
+/// Up to this distance from 1 the series of [`root`] is exact to 1e-13.
+const NEAR: f64 = 1e-3;
+
+/// `x^(1/n)` for n of 1 or more.
+fn root(x: f64, n: f64) -> f64 {
+    let t = x - 1.0;
+    if t.abs() > NEAR {
+        return x.powf(1.0 / n);
+    }
+    let by = 1.0 / n;
+    1.0 + by * t * (1.0 + (by - 1.0) / 2.0 * t * (1.0 + (by - 2.0) / 3.0 * t))
+}
+
 impl Effect for Saturation {
     fn descriptor(&self) -> &'static Descriptor {
         &DESCRIPTOR
@@ -50,12 +63,15 @@ impl Effect for Saturation {
         let n = p[2].max(1.0);
         // As (Q / full scale / W)^n - (Q / full scale)^n, which does not overflow where the charge is small.
         let (well, full) = ((1.0 - p[0]) * cx.full_scale_e, cx.full_scale_e);
+        // Fits start from whole numbers, whose powers are products.
+        let whole = n.fract() == 0.0;
+        let power = |x: f64| if whole { x.powi(n as i32) } else { x.powf(n) };
         let mut lost = Array2::<f32>::zeros(if p[1] > 0.0 { charge_e.dim() } else { (0, 0) });
         // Below this, less is lost than single precision holds.
         let least = (well * (n * LEAST_LOSS).powf(1.0 / n)) as f32;
         for ((r, c), v) in charge_e.indexed_iter_mut().filter(|(_, v)| **v > least) {
             let q = f64::from(*v);
-            let kept = (q / (1.0 + (q / well).powf(n) - (q / full).powf(n)).powf(1.0 / n)) as f32;
+            let kept = (q / root(1.0 + power(q / well) - power(q / full), n)) as f32;
             if let Some(lost) = lost.get_mut((r, c)) {
                 *lost = *v - kept;
             }
@@ -66,6 +82,21 @@ impl Effect for Saturation {
             let near = [r.checked_sub(1), Some(r + 1).filter(|n| *n < lost.nrows())];
             for n in near.into_iter().flatten() {
                 charge_e.row_mut(n).scaled_add(half, &row);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::root;
+
+    #[test]
+    fn the_series_near_one_is_the_root() {
+        for n in [1.0, 4.5, 8.0, 64.0] {
+            for x in [1.0, 1.0 + 1e-9, 1.0 - 1e-3, 1.0 + 1e-3, 1.002, 7.0] {
+                let (found, exact) = (root(x, n), x.powf(1.0 / n));
+                assert!((found - exact).abs() < 2e-13, "{n} {x}: {found} for {exact}");
             }
         }
     }

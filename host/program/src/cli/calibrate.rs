@@ -91,6 +91,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             }
             bar.inc(1);
         })
+        // Its file holds them then, and what needs them does not fit them again.
+        .inspect(|calibration| calibration.instrument.fit_pupils())
     });
     let calibration = calibration?;
     bar.finish_and_clear();

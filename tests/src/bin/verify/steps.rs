@@ -27,10 +27,9 @@ pub fn all() -> Vec<Step> {
         step("firmware images", firmware_images),
         step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
         step("ffmpeg", || toolchain::ensure_ffmpeg().map(|()| Counts::check(true))),
-        step("tests of shared, debug build with overflow checks", || tests(&["-p", "ommatidia-shared"])),
-        step("tests of shared, 32-bit program with overflow checks", narrow_tests),
+        step("tests of shared with overflow checks, 32-bit program", narrow_tests),
+        step("tests of shared with overflow checks, AArch64, emulated", aarch64_tests),
         step("shared on other cores", other_cores),
-        step("tests of shared on AArch64, emulated", aarch64_tests),
         step("all tests", || tests(&["--release", "--workspace"])),
         step("Python package", python::package),
         step("hostile input", hostile_input),
@@ -61,18 +60,19 @@ fn documentation() -> Result<Counts> {
 /// The programs of every board: one check a board.
 fn firmware_images() -> Result<Counts> {
     let toolchain = toolchain::thumb()?;
-    let mut counts = Counts::default();
+    // The program with its log, for the board that has a probe. Its profile is that of the others, but for the size of
+    // the program itself, so that they share what both depend on; the image without the log then takes its place.
+    let mut command = toolchain.cargo(NUCLEO_H743ZI);
+    command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--bin", "app"]);
+    command.args(["--features", "nucleo-h743zi,probe", "--target", NUCLEO_H743ZI.target]);
+    command.args(["--config", "profile.firmware.package.ommatidia-firmware.opt-level='z'"]);
+    let mut counts = check(command)?;
     for board in BOARDS {
         let mut command = toolchain.cargo(board);
         command.args(["build", "--profile", "firmware", "-p", "ommatidia-firmware", "--features", board.name]);
         command.args(["--bins", "--target", board.target]);
         counts += check(command)?;
     }
-    // The program with its log, for the board that has a probe.
-    let mut command = toolchain.cargo(NUCLEO_H743ZI);
-    command.args(["build", "--profile", "firmware-probe", "-p", "ommatidia-firmware", "--bin", "app"]);
-    command.args(["--features", "nucleo-h743zi,probe", "--target", NUCLEO_H743ZI.target]);
-    counts += check(command)?;
     Ok(counts)
 }
 
@@ -93,6 +93,10 @@ fn lints_of_boards() -> Result<Counts> {
     Ok(counts)
 }
 
+/// Optimisation of the fuzz targets: their builds take longer than their runs. Runs of hours take the level of
+/// `fuzz/Cargo.toml`.
+const FUZZ_LEVEL: [&str; 2] = ["CARGO_PROFILE_RELEASE_OPT_LEVEL", "1"];
+
 /// Builds the fuzz targets with coverage and the address sanitizer, and runs each for [`FUZZ_SECONDS`] from its seeds.
 fn hostile_input() -> Result<Counts> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
@@ -101,7 +105,7 @@ fn hostile_input() -> Result<Counts> {
     let mut build = cargo(["build", "--release", "--manifest-path"]);
     build.arg(root.join("fuzz/Cargo.toml")).args(["--target", &host, "--target-dir"]).arg(&target);
     // The sanitizer is not stable; the compiler that has it is.
-    build.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", toolchain::FUZZ_FLAGS);
+    build.env("RUSTC_BOOTSTRAP", "1").env("RUSTFLAGS", toolchain::FUZZ_FLAGS).env(FUZZ_LEVEL[0], FUZZ_LEVEL[1]);
     let mut counts = check(build)?;
     for name in FUZZ_TARGETS {
         let (corpus, found) = (target.join("corpus").join(name), target.join("found"));
@@ -120,7 +124,8 @@ fn hostile_input() -> Result<Counts> {
     Ok(counts)
 }
 
-/// The tests of `shared` as a 32-bit program: lengths wrap there as they do on the boards.
+/// The tests of `shared` as a 32-bit program: lengths wrap there as they do on the boards. `shared` has no loops of its
+/// own for this machine's processor, so that no debug build for it is tested beside this one and that for AArch64.
 fn narrow_tests() -> Result<Counts> {
     let mut command = toolchain::linux(toolchain::NARROW)?;
     command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
@@ -141,7 +146,8 @@ fn other_cores() -> Result<Counts> {
     Ok(counts)
 }
 
-/// The tests of `shared` as a program for AArch64: its loops are the portable ones, and the bits are the same.
+/// The tests of `shared` as a program for AArch64: its loops are the portable ones, as those of this machine are, and the
+/// bits are the same.
 fn aarch64_tests() -> Result<Counts> {
     toolchain::ensure_qemu_user()?;
     let mut command = toolchain::linux(toolchain::AARCH64)?;
@@ -160,7 +166,7 @@ fn narrow_hostile_input() -> Result<Counts> {
     command.args(["--target", toolchain::NARROW, "--manifest-path"]).arg(fuzz.join("Cargo.toml"));
     let target = toolchain::target_dir().join("fuzz");
     command.env("OMMATIDIA_CORPUS", target.join("corpus")).env("OMMATIDIA_SECONDS", FUZZ_SECONDS.to_string());
-    command.env("CARGO_TARGET_DIR", target).args(["--", "--nocapture"]);
+    command.env("CARGO_TARGET_DIR", target).env(FUZZ_LEVEL[0], FUZZ_LEVEL[1]).args(["--", "--nocapture"]);
     counted(command)
 }
 

@@ -100,28 +100,30 @@ impl PupilModel {
         if count == 0 || count < (0..alone.len()).filter(|l| !is_dead(*l)).count() {
             return None;
         }
-        let prepared = alone.iter().map(|_| Arc::default()).collect();
-        let nodes_px = [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes));
-        let mut model = Self {
-            lenses: alone,
-            depth,
-            scanned_waves_per_um: Vec::new(),
-            waves_per_um2: 0.0,
-            nodes_px,
-            prepared,
-            misfit: 0.0,
-        };
+        let mut model = Self::of(psf, alone, depth, scale);
         model.share_a_sign();
         model.fit_by_design(psf, depth);
         model.share_a_sign();
         let live = || model.lenses.iter().flatten();
         let misfit = (live().map(|l| l.misfit * l.misfit).sum::<f64>() / count as f64).sqrt();
+        (misfit <= MOST_MISFIT).then_some(Self { misfit, ..model })
+    }
+
+    /// The model of pupils that were fitted to the PSFs at a depth, without what is known of their misfit and of other
+    /// depths.
+    pub(super) fn of(psf: &LowRankPsf, lenses: Vec<Option<LensPupil>>, depth: usize, scale: Scale) -> Self {
         // A path longer by z NA^2 / 2 at the rim, with NA = R wavelength M / pitch in the object's space; the rms of
         // Z_4 is 1 / (2 sqrt 3) of that (Born & Wolf, section 9.2).
         let na_per_um = scale.magnification / scale.pixel_pitch_um;
-        let waves_per_um2 = na_per_um * na_per_um / 2.0 / (2.0 * 3f64.sqrt());
-        let model = Self { waves_per_um2, misfit, ..model };
-        (misfit <= MOST_MISFIT).then_some(model)
+        Self {
+            prepared: lenses.iter().map(|_| Arc::default()).collect(),
+            lenses,
+            depth,
+            scanned_waves_per_um: Vec::new(),
+            waves_per_um2: na_per_um * na_per_um / 2.0 / (2.0 * 3f64.sqrt()),
+            nodes_px: [&psf.node_rows_px, &psf.node_cols_px].map(|nodes| coarse(nodes)),
+            misfit: 0.0,
+        }
     }
 
     /// Defocus of a source of light of `wavelength_um` that is displaced by `z_um` along the axis, through a lens,

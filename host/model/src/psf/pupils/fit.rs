@@ -9,6 +9,7 @@ use super::{EVEN, FUNCTIONS, SQUARES, TERMS, field};
 use ndarray::{Array1, Array2, s};
 use ommatidia_physics::linalg::{least_squares, symmetric_eigen};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Iterations of the fit of one place, of each start over the field, and of the best of them.
 const ROUNDS: [usize; 3] = [25, 3, 40];
@@ -41,7 +42,8 @@ pub(super) struct Place {
 }
 
 /// The pupil of a lens.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct LensPupil {
     /// Coefficients of the functions of the field, [term, function], rad.
     pub terms: Array2<f64>,
@@ -59,6 +61,12 @@ impl LensPupil {
         let mut terms = [0.0; TERMS];
         terms.iter_mut().zip(values).for_each(|(t, v)| *t = v);
         Pupil { terms, apodisation: self.apodisation, radius: self.radius }
+    }
+
+    /// Whether a fit over the field may have given it.
+    pub(super) fn is_possible(&self) -> bool {
+        let finite = self.terms.iter().chain([&self.apodisation, &self.misfit]).all(|v| v.is_finite());
+        self.terms.dim() == (TERMS, FUNCTIONS) && finite && self.radius > 0.0 && self.radius <= MOST_RADIUS
     }
 
     /// With coefficients of more functions of the field, zero at first.

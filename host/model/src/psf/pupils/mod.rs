@@ -25,6 +25,7 @@ mod shared;
 
 pub use change::{PupilModel, PupilSummary, Scale, WAVELENGTH_UM, Wavefronts};
 pub use shared::Pupils;
+pub(crate) use shared::StoredPupils;
 
 /// Relative error (root mean square over the windows of a lens) up to which a pupil counts as the explanation of PSFs.
 pub const MOST_MISFIT: f64 = 0.1;
