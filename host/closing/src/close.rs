@@ -13,26 +13,6 @@ use super::fit::{
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
-use ommatidia_session::Manifest;
-
-/// Checks that a session has the layout that an instrument was calibrated for: array, sensor and object grid.
-///
-/// # Errors
-/// [`CloseError::Layout`] if they differ.
-pub fn check_layout(instrument: &Manifest, session: &Manifest) -> Result<(), CloseError> {
-    let words = |m: &Manifest| {
-        format!(
-            "{}, a sensor of {} x {} and objects of {} x {} pixels",
-            m.array.words(),
-            m.sensor.rows,
-            m.sensor.cols,
-            m.object.rows,
-            m.object.cols
-        )
-    };
-    let (expected, found) = (words(instrument), words(session));
-    if expected == found { Ok(()) } else { Err(CloseError::Layout { expected, found }) }
-}
 
 /// Searches for the effects that an instrument lacks and adds them. Faults of the session's records are corrected in
 /// `seen`: those of objects before anything is fitted, those of exposures only where no effect explains them. Calls

@@ -1,8 +1,9 @@
 //! Closes the loop from files to files.
 
 use super::account::{Account, Closed, Filed, Recalibrated, Retrain, RetrainRequest, adopt};
-use super::close::{check_layout, close, residual};
+use super::close::{close, residual};
 use super::data::{Budget, Observations};
+use super::layout::{check_layout, contradiction};
 use super::options::{CalibratedOn, CloseOptions};
 use super::search::trial_calibration;
 use super::sensor::complete_sensor;
@@ -93,7 +94,9 @@ pub fn close_session(
     };
     let mut closed = close(&instrument, &mut seen, &options, |step| progress(Progress::Step(step)))
         .with_context(|| request.session.display().to_string())?;
-    closed.account.closing.notes.extend(completed.into_iter().chain(untried));
+    let notes = &mut closed.account.closing.notes;
+    notes.splice(0..0, contradiction(&instrument.manifest, session.manifest()));
+    notes.extend(completed.into_iter().chain(untried));
     if let Some(trial) = trial.as_ref().filter(|_| closed.needs_calibration()) {
         progress(Progress::Step("recalibrating"));
         adopt(&mut closed, &session, Recalibrated { before: &instrument, trial }, &request.calibration)?;
@@ -161,6 +164,7 @@ pub fn residual_session(request: &ResidualRequest<'_>) -> anyhow::Result<Residua
     };
     let mut account =
         residual(&instrument, &mut seen, &options).with_context(|| request.session.display().to_string())?;
+    account.closing.notes.splice(0..0, contradiction(&instrument.manifest, session.manifest()));
     account.closing.notes.extend(completed);
     let provenance = provenance("residual", request.seed, &session, request.instrument)?;
     Ok(ResidualOutcome { account, provenance })

@@ -63,6 +63,7 @@ pub mod data;
 pub mod evidence;
 mod files;
 pub mod fit;
+mod layout;
 mod options;
 pub mod plan;
 pub mod search;
@@ -73,13 +74,14 @@ pub use account::{
     Account, Closed, Closing, Control, Effect, Filed, Nearest, Rejected, Retrain, RetrainRequest, Retrained,
     SpecimenMaps, TruthRegistration, Value, Verdict,
 };
-pub use close::{check_layout, close, residual};
+pub use close::{close, residual};
 pub use data::{Budget, Fault, FaultKind, Observations};
 pub use evidence::{Covariate, Curve, Dependence, Figures, JudgedOn};
 pub use files::{
     CloseOutcome, CloseRequest, FineTuning, Progress, ResidualOutcome, ResidualRequest, account_path, close_session,
     residual_session,
 };
+pub use layout::check_layout;
 pub use options::{CalibratedOn, CloseError, CloseOptions};
 pub use plan::{Advice, Goal, Plan};
 
