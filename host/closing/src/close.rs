@@ -5,7 +5,7 @@ use super::account::{
     within_calibration,
 };
 use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
-use super::data::{Fault, Observations, Shown};
+use super::data::{Fault, Observations, Shown, unit_of_flats, unit_of_scenes};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
     Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, orientation, pedestal,
@@ -37,6 +37,11 @@ pub fn close(
     Ok(closed)
 }
 
+/// Refuses a session whose flats show that its frames are in another unit than those of the calibration.
+fn check_unit(instrument: &Instrument, seen: &Observations) -> Result<(), CloseError> {
+    unit_of_flats(seen, &instrument.noise).map_or(Ok(()), |other| Err(CloseError::OtherUnit(other)))
+}
+
 /// One attempt with the records as they are, and another one where the first does not explain exposures that are in
 /// doubt.
 fn attempts(
@@ -45,6 +50,7 @@ fn attempts(
     options: &CloseOptions<'_>,
     mut progress: impl FnMut(&str),
 ) -> Result<Closed, CloseError> {
+    check_unit(instrument, seen)?;
     estimate_specimens(instrument, seen);
     progress("records");
     let [mut faults, doubted] = wrong_records(instrument, seen)?;
@@ -100,6 +106,7 @@ pub fn residual(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
+    check_unit(instrument, seen)?;
     estimate_specimens(instrument, seen);
     let [mut faults, doubted] = wrong_records(instrument, seen)?;
     exposures::correct_exposures(seen, &doubted);
@@ -170,6 +177,9 @@ fn looked(
 /// Faults of the records: those of objects, which are corrected, and exposures, which are only doubted.
 fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Vec<Fault>; 2], CloseError> {
     let Some(mut frames) = looked(instrument, seen, None)? else { return Ok(Default::default()) };
+    if let Some(other) = record::usual_light(&frames).and_then(|light| unit_of_scenes(seen, &instrument.noise, light)) {
+        return Err(CloseError::OtherUnit(other));
+    }
     if let Some(found) = orientation(&frames) {
         let (own, turned) = (found.own, found.turned);
         return Err(CloseError::Turned { how: found.turn.turn_words(), scenes: frames.len(), own, turned });

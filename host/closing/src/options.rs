@@ -1,5 +1,6 @@
 //! What closing the loop is given beside data and instrument, and why it may fail.
 
+use crate::data::OtherUnit;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectError;
@@ -56,6 +57,9 @@ pub enum CloseError {
         /// Median correlation after they were turned back.
         turned: f64,
     },
+    /// The frames are in another unit than those of the calibration.
+    #[error("the frames are in another unit than those of the calibration: {0}")]
+    OtherUnit(OtherUnit),
     /// There is no frame.
     #[error("the session holds no frame to compare with the model: expected scenes, beads, flats or darks")]
     Empty,

@@ -6,6 +6,7 @@ mod observe;
 mod part;
 mod recording;
 mod registration;
+mod unit;
 
 pub(crate) use darks::bright_darks;
 pub use fault::{Fault, FaultKind};
@@ -14,3 +15,5 @@ pub use observe::{Budget, Frame, Observations, Shown};
 pub(crate) use part::part_of;
 pub(crate) use recording::{best_of_parts, content};
 pub use registration::Registration;
+pub use unit::{OtherUnit, ShownBy};
+pub(crate) use unit::{unit_of_flats, unit_of_scenes};

@@ -208,6 +208,11 @@ fn move_back(all: &mut [Seen]) {
     }
 }
 
+/// How many times as bright as their records the scenes usually are. None: there are none.
+pub fn usual_light(frames: &[Seen]) -> Option<f64> {
+    median(frames.iter().map(Seen::light).collect())
+}
+
 /// How well a scene fits its own record, the object of another scene of its stack, and its own object, turned.
 struct Match<'s> {
     own: f64,
