@@ -62,8 +62,12 @@ fn judged(black_dn: f64, noise: &NoiseModel, other: f64, by: ShownBy) -> Option<
     let factor = black_dn[0] / black_dn[1];
     let is_known = noise.sources.black_level != Source::Nominal && black_dn[1] >= BLACK_DN;
     let is_another = is_known && factor > 0.0 && factor.ln().abs() >= LEAST.ln();
-    let agrees = (other / factor - 1.0).abs() <= SAME;
-    (is_another && agrees).then_some(OtherUnit { factor, black_dn, by })
+    let is_near = |a: f64, b: f64| (a / b - 1.0).abs() <= SAME;
+    // Bits are lost or gained as powers of two; a black level that was rounded down is a little too small.
+    let of_bits = factor.log2().round().exp2();
+    let whole = is_near(of_bits, factor) && is_near(of_bits, other);
+    let factor = if whole { of_bits } else { factor };
+    (is_another && is_near(other, factor)).then_some(OtherUnit { factor, black_dn, by })
 }
 
 /// Mean of the darks, DN.
@@ -103,10 +107,11 @@ impl std::fmt::Display for OtherUnit {
             ShownBy::Light(light) => write!(f, "and scenes {light:.3} times as bright as their objects predict")?,
         }
         let (how, by) = if self.factor < 1.0 { ("multiply", 1.0 / self.factor) } else { ("divide", self.factor) };
+        let by = (100.0 * by).round() / 100.0;
         write!(
             f,
             ". A camera that is read with another number of bits writes such frames, and so does a program that scales \
-             or shifts numbers. Calibrate from frames of the same kind, or {how} those of the session by {by:.2}"
+             or shifts numbers. Calibrate from frames of the same kind, or {how} those of the session by {by}"
         )
     }
 }
@@ -169,7 +174,7 @@ mod tests {
         let darks = session(16.0, 0.1, false);
         let found = unit_of_scenes(&darks, &noise, 0.247).unwrap().to_string();
         assert!(
-            found.contains("16.0 DN for 64.0 DN") && found.ends_with("multiply those of the session by 4.00"),
+            found.contains("16.0 DN for 64.0 DN") && found.ends_with("multiply those of the session by 4"),
             "{found}"
         );
         assert_eq!(unit_of_scenes(&darks, &noise, 1.0), None);

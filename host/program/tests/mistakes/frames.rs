@@ -57,6 +57,18 @@ fn frames_that_cannot_be_are_reconstructed_with_a_warning() {
                 "shutter",
             ]),
             Mistake::new(
+                "A session of 10 bits, the calibration of 12",
+                "close scenes --instrument scenes.instrument -o new",
+            )
+            .with(|desk| {
+                for name in ["dark.npy", "flat.npy", "bead.npy", "scene.npy"] {
+                    let file = desk.join("scenes").join(name);
+                    let frames = stack::read(&file).unwrap().mapv(|v| (v / 4.0).floor());
+                    stack::write(&file, frames.view()).unwrap();
+                }
+            })
+            .says(&["another unit", "for 64.0 DN", "multiply those of the session by 4"]),
+            Mistake::new(
                 "One frame of three is dark: a classical method",
                 "reconstruct gap.npy -o out.npy --with instrument --method central",
             )
