@@ -27,9 +27,10 @@ pub fn check_layout(instrument: &Manifest, session: &Manifest) -> Result<(), Clo
     if expected == found { Ok(()) } else { Err(CloseError::Layout { expected, found }) }
 }
 
-/// What a session of the same layout states otherwise than the calibration of an instrument did, as a note. Nothing of
-/// it enters a fit, which takes the values of the calibration; but a session that states other ones is of another
-/// instrument, or its frames are in another unit, or one of the two files has a mistake. None: nothing.
+/// What a session of the same layout states otherwise than the calibration of an instrument did, as a note. The optics
+/// that are fitted are those of the calibration; where the beads of the session lie follows from its own object pixels.
+/// A session that states other values is of another instrument, or its frames are in another unit, or one of the two
+/// files has a mistake. None: nothing.
 pub(crate) fn contradiction(instrument: &Manifest, session: &Manifest) -> Option<String> {
     let differ = |a: f64, b: f64| (a - b).abs() > SIZE * a.abs().max(b.abs());
     let mut stated: Vec<String> = Vec::new();
@@ -67,8 +68,8 @@ pub(crate) fn contradiction(instrument: &Manifest, session: &Manifest) -> Option
     }
     (!stated.is_empty()).then(|| {
         format!(
-            "session.toml states {}. The values of the calibration were used: check that this is a session of the same \
-             instrument, and correct the file that is wrong",
+            "session.toml states {}. Check that this is a session of the same instrument, and correct the file that is \
+             wrong",
             stated.join(", ")
         )
     })

@@ -1,5 +1,5 @@
-//! Frames in another unit than those of the calibration: a camera that is read with another number of bits, or a program
-//! that has multiplied what it wrote.
+//! Frames in another unit than those of the calibration: a camera that is read with another number of bits, or a
+//! program that has multiplied what it wrote.
 //!
 //! A factor on all numbers multiplies the black level and the DN of an electron alike. A lamp, a gain or an offset
 //! changes one of the two.

@@ -146,8 +146,8 @@ fn other_cores() -> Result<Counts> {
     Ok(counts)
 }
 
-/// The tests of `shared` as a program for AArch64: its loops are the portable ones, as those of this machine are, and the
-/// bits are the same.
+/// The tests of `shared` as a program for AArch64: its loops are the portable ones, as those of this machine are, and
+/// the bits are the same.
 fn aarch64_tests() -> Result<Counts> {
     toolchain::ensure_qemu_user()?;
     let mut command = toolchain::linux(toolchain::AARCH64)?;

@@ -297,7 +297,8 @@ impl Tilt {
         self.inverse.map(|row| row[0] * right[0] + row[1] * right[1])
     }
 
-    /// The tilt of the place after a step of all other unknowns, which go with the derivatives as [`coefficients`] says.
+    /// The tilt of the place after a step of all other unknowns, which go with the derivatives as [`coefficients`]
+    /// says.
     fn after(&self, step: &Array1<f64>, of: &[(usize, f64)], tilt: [f64; 2]) -> [f64; 2] {
         let taken = self.across.map(|across| of.iter().zip(step).map(|((k, by), s)| across[*k] * by * s).sum::<f64>());
         let moved = self.solve([0, 1].map(|k| self.lacks[k] - taken[k]));
