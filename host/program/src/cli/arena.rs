@@ -38,7 +38,7 @@ pub struct Args {
         value_parser = super::common::positive)]
     peaks: Vec<f64>,
     /// Kinds of specimens [default: section and the usual ones]
-    #[arg(long, value_name = "KIND", value_delimiter = ',', value_enum)]
+    #[arg(long, alias = "specimen", value_name = "KIND", value_delimiter = ',', value_enum)]
     specimens: Vec<Specimen>,
     /// Folder of grey .tif or .png pictures as one more kind of specimen, by the folder's name (may be given again)
     #[arg(long, value_name = "DIR")]

@@ -14,7 +14,7 @@ use std::path::PathBuf;
                   ommatidia bench changed --family relay --instrument 3 --effect array_shift=0.4 --seed 2"
 )]
 pub struct Args {
-    /// Folder of the session to write; a session of a virtual instrument in it is replaced
+    /// Folder of the session to write; with --force a session of a virtual instrument in it is replaced
     session: PathBuf,
     /// Configuration of the instrument, TOML (default: the demo instrument)
     #[arg(long, value_name = "FILE")]

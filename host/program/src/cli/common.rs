@@ -38,13 +38,14 @@ pub struct Run {
     pub quiet: bool,
 }
 
-/// Scale of reconstructions, for the metadata of an OME-TIFF.
+/// Scale of reconstructions, for the metadata of an OME-TIFF or OME-Zarr.
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct ResultScale {
-    /// Side of an object pixel, um, for the OME-TIFF [default: that of the instrument; networks do not know it]
+    /// Side of an object pixel, um, for the metadata of the result [default: that of the instrument; networks do not
+    /// know it]
     #[arg(long, value_name = "UM", value_parser = positive)]
     pub pixel_um: Option<f64>,
-    /// Time between raw frames, s, for the OME-TIFF [default: as the frames' own TIFF says]
+    /// Time between raw frames, s, for the metadata of the result [default: as the recording says]
     #[arg(long, value_name = "S", value_parser = positive)]
     pub interval_s: Option<f64>,
 }

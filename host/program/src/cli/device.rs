@@ -84,7 +84,7 @@ struct RunArgs {
     /// Network file of a device, from `ommatidia quantize`
     #[arg(long, value_name = "BLOB")]
     with: PathBuf,
-    /// Raw frames, DN: .npy or .tif
+    /// Raw frames, DN: .npy, .tif, .avi, .mat, .zarr, or the folder of a recording
     #[arg(long, value_name = "STACK")]
     frames: PathBuf,
     /// Reconstructions to write: .npy or .tif (default: none are written)

@@ -70,84 +70,84 @@ enum Verb {
     #[command(after_help = "Example:\n  ommatidia check session -o check.png")]
     Check(check::Args),
     /// Calibrate an instrument from a session: noise, chief rays, low-rank spatially varying PSFs
-    #[command(after_help = "Example:\n  ommatidia calibrate session -o instrument.safetensors")]
+    #[command(after_help = "Example:\n  ommatidia calibrate session -o lab.instrument")]
     Calibrate(calibrate::Args),
     /// Compare an instrument with a session: measured minus predicted, and what the residual depends on
     #[command(
-        after_help = "Example:\n  ommatidia residual session --instrument instrument.safetensors --report residual.html"
+        after_help = "Example:\n  ommatidia residual session --instrument lab.instrument --report residual.html"
     )]
     Residual(residual::Args),
     /// Find effects that the instrument lacks, add them, and report before and after on held-out data
     #[command(
-        after_help = "Example:\n  ommatidia close session --instrument instrument.safetensors -o closed.safetensors"
+        after_help = "Example:\n  ommatidia close session --instrument lab.instrument -o closed.instrument"
     )]
     Close(close::Args),
     /// Measure how far `close` can be trusted, with many virtual sessions that have undeclared effects
     #[command(after_help = "Example:\n  ommatidia study -o study --quick")]
     Study(study::Args),
     /// Compute the expected frames of an instrument for given objects
-    #[command(after_help = "Example:\n  ommatidia predict instrument.safetensors objects.npy -o frames.npy")]
+    #[command(after_help = "Example:\n  ommatidia predict lab.instrument objects.npy -o frames.npy")]
     Predict(predict::Args),
     /// Simulate training pairs with an instrument
-    #[command(after_help = "Example:\n  ommatidia simulate instrument.safetensors -o pairs --count 500")]
+    #[command(after_help = "Example:\n  ommatidia simulate lab.instrument -o pairs --count 500")]
     Simulate(simulate::Args),
     /// Train the network
-    #[command(after_help = "Example:\n  ommatidia train pairs -o network.safetensors --preset nano")]
+    #[command(after_help = "Example:\n  ommatidia train pairs -o net.checkpoint --preset nano")]
     Train(train::Args),
     /// Convert a checkpoint into the network file of a device
-    #[command(after_help = "Example:\n  ommatidia quantize network.safetensors -o network.omm")]
+    #[command(after_help = "Example:\n  ommatidia quantize net.checkpoint -o net.omm")]
     Quantize(quantize::Args),
     /// Reconstruct objects from raw frames
-    #[command(after_help = "Example:\n  ommatidia reconstruct frames.npy -o objects.tif --with network.omm")]
+    #[command(after_help = "Example:\n  ommatidia reconstruct frames.npy -o objects.tif --with net.omm")]
     Reconstruct(reconstruct::Args),
     /// Compare methods on scenes of known truth
-    #[command(after_help = "Example:\n  ommatidia evaluate session --with network.omm --with instrument.safetensors \
+    #[command(after_help = "Example:\n  ommatidia evaluate session --with net.omm --with lab.instrument \
             --methods wiener,central")]
     Evaluate(evaluate::Args),
     /// Compare methods on virtual scenes of many specimens, light levels and instruments; writes a page
-    #[command(after_help = "Example:\n  ommatidia arena --with network.omm --with instrument.safetensors --effect \
+    #[command(after_help = "Example:\n  ommatidia arena --with net.omm --with lab.instrument --effect \
             array_shift=0.3 -o arena")]
     Arena(arena::Args),
     /// Find the finest line pairs that methods resolve, at the centre and the edges of the field
-    #[command(after_help = "Example:\n  ommatidia resolution targets --with network.safetensors --with \
-            instrument.safetensors --methods wiener,central")]
+    #[command(after_help = "Example:\n  ommatidia resolution targets --with net.checkpoint --with \
+            lab.instrument --methods wiener,central")]
     Resolution(resolution::Args),
     /// Compare the effective receptive fields of a network with PSFs, and its filters with pseudo-inverses
-    #[command(after_help = "Example:\n  ommatidia erf network.safetensors --instrument instrument.safetensors -o \
+    #[command(after_help = "Example:\n  ommatidia erf net.checkpoint --instrument lab.instrument -o \
             erf.safetensors")]
     Erf(erf::Args),
     /// Train networks that differ in one choice each, and print their figures in a table
     #[command(
-        after_help = "Example:\n  ommatidia ablate pairs --instrument instrument.safetensors --session session -o \
+        after_help = "Example:\n  ommatidia ablate pairs --instrument lab.instrument --session session -o \
             ablation"
     )]
     Ablate(ablate::Args),
     /// Learn intervals for each pixel of a method's reconstructions, on the virtual instrument
-    #[command(after_help = "Example:\n  ommatidia uncertainty instrument.safetensors --with network.omm -o \
-            widths.safetensors")]
+    #[command(after_help = "Example:\n  ommatidia uncertainty lab.instrument --with net.omm -o \
+            net.widths")]
     Uncertainty(uncertainty::Args),
     /// Measure how often the truth lies inside the intervals, by specimen, photon level and field radius
-    #[command(after_help = "Example:\n  ommatidia coverage widths.safetensors --with network.omm --instrument \
-            instrument.safetensors")]
+    #[command(after_help = "Example:\n  ommatidia coverage net.widths --with net.omm --instrument \
+            lab.instrument")]
     Coverage(coverage::Args),
     /// Render artifacts to one HTML file
-    #[command(after_help = "Example:\n  ommatidia report instrument.safetensors evaluation.safetensors -o report.html")]
+    #[command(after_help = "Example:\n  ommatidia report lab.instrument scenes.evaluation -o report.html")]
     Report(report::Args),
     /// Show files in the browser: frames, instruments, PSFs, residuals, data sets, reconstructions
     #[command(after_help = "Example:\n  ommatidia view demo")]
     View(view::Args),
     /// Run the firmware, under QEMU or on a board
-    #[command(after_help = "Example:\n  ommatidia device run --with network.omm --frames frames.npy -o objects.npy")]
+    #[command(after_help = "Example:\n  ommatidia device run --with net.omm --frames frames.npy -o objects.npy")]
     Device(device::Args),
     /// Convert the published PyTorch weights of an SV-FourierNet into a checkpoint
-    #[command(after_help = "Example:\n  ommatidia import-pth svfourier.pth -o published.safetensors --instrument \
-            instrument.safetensors")]
+    #[command(after_help = "Example:\n  ommatidia import-pth svfourier.pth -o published.checkpoint --instrument \
+            lab.instrument")]
     ImportPth(import_pth::Args),
     /// Write the weights of a checkpoint in the layout of the published network
-    #[command(after_help = "Example:\n  ommatidia export network.safetensors -o weights.safetensors")]
+    #[command(after_help = "Example:\n  ommatidia export net.checkpoint -o weights.safetensors")]
     Export(import_pth::Export),
     /// Describe a file
-    #[command(after_help = "Example:\n  ommatidia inspect instrument.safetensors")]
+    #[command(after_help = "Example:\n  ommatidia inspect lab.instrument")]
     Inspect(inspect::Args),
     /// Print completions for a shell
     #[command(after_help = "Example:\n  ommatidia completions bash > ommatidia.bash")]

@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// Options of `simulate`.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Example: ommatidia simulate instrument.omm -o pairs --count 1024 --specimen beads --specimen cells"
+    after_help = "Example: ommatidia simulate lab.instrument -o pairs --count 1024 --specimen beads,cells"
 )]
 pub struct Args {
     /// Instrument file to simulate frames with

@@ -25,7 +25,7 @@ pub(super) struct Args {
     /// Network file of a device, from `ommatidia quantize`
     #[arg(long, value_name = "BLOB")]
     with: PathBuf,
-    /// Raw frames, DN: .npy or .tif
+    /// Raw frames, DN: .npy, .tif, .avi, .mat, .zarr, or the folder of a recording
     #[arg(long, value_name = "STACK", required_unless_present = "live")]
     frames: Option<PathBuf>,
     /// Take N frames from the device's own camera
