@@ -5,7 +5,7 @@ use super::account::{
     within_calibration,
 };
 use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
-use super::data::{Fault, Observations, Shown, unit_of_flats, unit_of_scenes};
+use super::data::{Fault, Observations, Shown, scaled_frames, unit_of_flats, unit_of_scenes};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
     Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, orientation, pedestal,
@@ -37,8 +37,12 @@ pub fn close(
     Ok(closed)
 }
 
-/// Refuses a session whose flats show that its frames are in another unit than those of the calibration.
+/// Refuses a session whose frames a program has changed, or whose flats show that its frames are in another unit than
+/// those of the calibration.
 fn check_unit(instrument: &Instrument, seen: &Observations) -> Result<(), CloseError> {
+    if let Some(scaled) = scaled_frames(seen, &instrument.noise) {
+        return Err(CloseError::Scaled(scaled));
+    }
     unit_of_flats(seen, &instrument.noise).map_or(Ok(()), |other| Err(CloseError::OtherUnit(other)))
 }
 
@@ -177,7 +181,8 @@ fn looked(
 /// Faults of the records: those of objects, which are corrected, and exposures, which are only doubted.
 fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Vec<Fault>; 2], CloseError> {
     let Some(mut frames) = looked(instrument, seen, None)? else { return Ok(Default::default()) };
-    if let Some(other) = record::usual_light(&frames).and_then(|light| unit_of_scenes(seen, &instrument.noise, light)) {
+    let noise = &instrument.noise;
+    if let Some(other) = record::usual(&frames, noise.black_level_dn).and_then(|s| unit_of_scenes(seen, noise, s)) {
         return Err(CloseError::OtherUnit(other));
     }
     if let Some(found) = orientation(&frames) {

@@ -1,6 +1,6 @@
 //! What closing the loop is given beside data and instrument, and why it may fail.
 
-use crate::data::OtherUnit;
+use crate::data::{OtherUnit, ScaledFrames};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_physics::effects::EffectError;
@@ -60,6 +60,9 @@ pub enum CloseError {
     /// The frames are in another unit than those of the calibration.
     #[error("the frames are in another unit than those of the calibration: {0}")]
     OtherUnit(OtherUnit),
+    /// A program has scaled or shifted frames, or taken the black level from them.
+    #[error("{0}")]
+    Scaled(ScaledFrames),
     /// There is no frame.
     #[error("the session holds no frame to compare with the model: expected scenes, beads, flats or darks")]
     Empty,

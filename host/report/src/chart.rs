@@ -57,9 +57,11 @@ const SIZE: (u32, u32) = (520, 320);
 const INK: RGBColor = RGBColor(1, 1, 1);
 const GRID: RGBColor = RGBColor(2, 1, 1);
 const FONT: &str = "chart-font";
+/// Colours of lines: `--c1` to `--c8` of the style sheet.
+const COLOURS: usize = 8;
 
 fn series_colour(i: usize, turn: Turn) -> RGBColor {
-    RGBColor(3, turn.code(), (i.clamp(1, 6)) as u8)
+    RGBColor(3, turn.code(), (i.clamp(1, COLOURS)) as u8)
 }
 
 impl Axis {
@@ -266,7 +268,7 @@ fn themed(svg: &str) -> String {
                     format!(" stroke-dasharray=\"{dash} {}\" stroke-dashoffset=\"-{}\"", dash * (of - 1), dash * number)
                 }
             };
-            for i in 1..=6 {
+            for i in 1..=COLOURS {
                 let placeholder = format!("#03{:02X}0{i}", Turn { number, of }.code());
                 text = text.replace(&format!("\"{placeholder}\""), &format!("\"var(--c{i})\"{dashes}"));
             }

@@ -5,7 +5,7 @@ use super::colour::ColourMap;
 use super::error::ReportError;
 use super::page::Numbers;
 use super::picture::{Scale, number, picture};
-use super::scenes::colour;
+use super::scenes::Colours;
 use maud::{Markup, html};
 use ndarray::{ArrayView2, Axis as Dim};
 use ommatidia_network::evaluate::Evaluation;
@@ -31,11 +31,12 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
     let (found, elsewhere): (Vec<Resolution>, Vec<Resolution>) = all.iter().cloned().partition(|r| r.z_um == focus_um);
     let pixel_um = json["object_pixel_um"].as_f64().unwrap_or(1.0);
     let um = |v: Option<f64>| v.map_or("–".to_string(), number);
+    let colours = Colours::of(found.iter().map(|r| r.name.as_str()));
     let table = html! {
         thead { tr { th { "Method" } th.n { "Centre" small { "µm per line pair" } } th.n { "Edges" small { "µm per \
             line pair" } } } }
         tbody { @for r in &found { tr {
-            td { i.dot.{ "c" (colour(&r.name)) } {} (title(&r.name)) } td.n { (um(r.centre_um)) } td.n {
+            td { i.dot.{ "c" (colours.get(&r.name)) } {} (title(&r.name)) } td.n { (um(r.centre_um)) } td.n {
                 (um(r.edges_um)) }
         } } }
     };
@@ -49,7 +50,7 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
         let lines = found.iter().filter_map(|r| {
             let of = r.readings.iter().find(|g| g.place == place && g.along == along && g.period_px == DRAWN_PX)?;
             let points = of.profile.iter().enumerate().map(|(i, v)| [i as f64 * pixel_um, *v]).collect();
-            Some(Line { label: title(&r.name), points, colour: colour(&r.name), marks: Marks::None })
+            Some(Line { label: title(&r.name), points, colour: colours.get(&r.name), marks: Marks::None })
         });
         let chart = Chart {
             alt: format!("Line profiles through bars at the {place} of the field"),
@@ -80,12 +81,13 @@ pub fn resolution(json: &Value, numbers: &mut Numbers) -> Result<Markup, ReportE
 
 /// The finest line pairs of each method over the depth of the targets.
 fn over_depth(all: &[Resolution], methods: &[Resolution], numbers: &mut Numbers) -> Result<Markup, ReportError> {
+    let colours = Colours::of(methods.iter().map(|r| r.name.as_str()));
     let chart = |what: &str, finest: fn(&Resolution) -> Option<f64>| {
         let line = |method: &Resolution| {
             let of = all.iter().filter(|r| r.name == method.name);
             let mut points: Vec<[f64; 2]> = of.filter_map(|r| Some([r.z_um, finest(r)?])).collect();
             points.sort_by(|a, b| a[0].total_cmp(&b[0]));
-            Line { label: title(&method.name), points, colour: colour(&method.name), marks: Marks::Dots }
+            Line { label: title(&method.name), points, colour: colours.get(&method.name), marks: Marks::Dots }
         };
         let chart = Chart {
             alt: format!("Finest line pair over depth, {what}"),
@@ -114,11 +116,12 @@ pub fn spectra(e: &Evaluation, numbers: &mut Numbers) -> Result<Option<Markup>, 
     if e.summary.methods.iter().all(|m| m.spectra.is_empty()) {
         return Ok(None);
     }
+    let colours = Colours::of(e.summary.methods.iter().map(|m| m.name.as_str()));
     let chart = |ring: usize, what: &str| {
         let lines = e.summary.methods.iter().filter_map(|m| {
             let of = m.spectra.get(ring)?;
             let points = of.frequency_per_um.iter().zip(&of.correlation).map(|(f, c)| [1e3 * f, *c]).collect();
-            Some(Line { label: title(&m.name), points, colour: colour(&m.name), marks: Marks::Dots })
+            Some(Line { label: title(&m.name), points, colour: colours.get(&m.name), marks: Marks::Dots })
         });
         let chart = Chart {
             alt: format!("Correlation with the truth by spatial frequency, {what}"),

@@ -12,15 +12,43 @@ use ommatidia_network::evaluate::{Evaluation, MethodFigures};
 use ommatidia_network::methods::title;
 use std::path::Path;
 
-/// Colour of a method: the same in every chart and table.
-pub fn colour(name: &str) -> usize {
-    match name.split('@').next().unwrap_or(name) {
-        "svfouriernet" => 1,
-        "svfouriernet-blob" => 6,
-        "device" | "firmware-on-host" => 3,
-        "wiener" => 2,
-        "richardson-lucy" => 4,
-        _ => 5,
+/// Colours of the methods of a page. A kind of method has the same colour on every page, and two methods of one kind
+/// differ as long as there are colours.
+pub struct Colours(Vec<(String, usize)>);
+
+/// Colours that no kind has for itself.
+const SPARE: [usize; 3] = [7, 8, 5];
+
+impl Colours {
+    /// Chooses a colour for each of the names, in their order.
+    pub fn of<'a>(names: impl IntoIterator<Item = &'a str>) -> Self {
+        let mut chosen: Vec<(String, usize)> = Vec::new();
+        for name in names {
+            let is_free = |colour: &usize| chosen.iter().all(|(_, other)| other != colour);
+            let own = Self::of_kind(name);
+            let colour = std::iter::once(own).chain(SPARE).find(is_free).unwrap_or(own);
+            if chosen.iter().all(|(known, _)| known != name) {
+                chosen.push((name.into(), colour));
+            }
+        }
+        Self(chosen)
+    }
+
+    /// The colour of a method.
+    pub fn get(&self, name: &str) -> usize {
+        let known = self.0.iter().find(|(known, _)| known == name);
+        known.map_or_else(|| Self::of_kind(name), |(_, colour)| *colour)
+    }
+
+    fn of_kind(name: &str) -> usize {
+        match name.split('@').next().unwrap_or(name) {
+            "svfouriernet" => 1,
+            "svfouriernet-blob" => 6,
+            "device" | "firmware-on-host" => 3,
+            "wiener" => 2,
+            "richardson-lucy" => 4,
+            _ => 5,
+        }
     }
 }
 
@@ -137,13 +165,14 @@ fn scene(e: &Evaluation, p: usize, numbers: &mut Numbers) -> Result<Markup, Repo
 pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportError> {
     let best = |f: fn(&MethodFigures) -> f64| e.summary.methods.iter().map(f).fold(f64::NEG_INFINITY, f64::max);
     let best_psnr = best(|m| m.psnr_db);
+    let colours = Colours::of(e.summary.methods.iter().map(|m| m.name.as_str()));
     let table = html! {
         thead { tr {
             th { "Method" } th.n { "PSNR" small { "dB, mean ± s.d." } } th.n { "SSIM" } th.n { "NRMSE" } th.n { "PCC" }
             th.n { "Time per frame" small { "wall" } } th.n { "Peak memory" small { "process" } }
         } }
         tbody { @for m in &e.summary.methods { tr.best[m.psnr_db == best_psnr] {
-            td { i.dot.{ "c" (colour(&m.name)) } {} (title(&m.name)) }
+            td { i.dot.{ "c" (colours.get(&m.name)) } {} (title(&m.name)) }
             td.n { (format!("{:.2}", m.psnr_db)) span.pm { (format!(" ± {:.2}", m.psnr_db_std)) } }
             td.n { (format!("{:.3}", m.ssim)) } td.n { (format!("{:.3}", m.nrmse)) } td.n { (format!("{:.3}", m.pcc)) }
             td.n { (m.seconds_per_frame.map_or("–".into(), seconds)) } td.n { (m.peak_bytes.map_or("–".into(), bytes)) }
@@ -158,7 +187,7 @@ pub fn figures(e: &Evaluation, numbers: &mut Numbers) -> Result<Markup, ReportEr
     let lines = e.summary.methods.iter().map(|m| Line {
         label: title(&m.name),
         points: m.field.iter().map(|r| [(r.inner_um + r.outer_um) / 2.0, r.psnr_db]).collect(),
-        colour: colour(&m.name),
+        colour: colours.get(&m.name),
         marks: Marks::Dots,
     });
     let rings = e.summary.methods.iter().flat_map(|m| &m.field);
@@ -292,6 +321,15 @@ mod tests {
             (d.row..d.row + d.side).contains(&r) && (d.col..d.col + d.side).contains(&c)
         };
         assert!(holds(&found[0], 50, 46) && holds(&found[1], 5, 90), "{found:?}");
+    }
+
+    #[test]
+    fn two_files_of_networks_have_two_colours_and_other_methods_keep_theirs() {
+        let names =
+            ["svfouriernet", "svfouriernet-blob@network.omm", "svfouriernet-blob@two-passes.omm", "central", "wiener"];
+        let colours = Colours::of(names);
+        assert_eq!(names.map(|name| colours.get(name)), [1, 6, 7, 5, 2]);
+        assert_eq!(colours.get("richardson-lucy"), 4);
     }
 
     #[test]

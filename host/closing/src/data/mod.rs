@@ -6,6 +6,7 @@ mod observe;
 mod part;
 mod recording;
 mod registration;
+mod scaled;
 mod unit;
 
 pub(crate) use darks::bright_darks;
@@ -15,5 +16,7 @@ pub use observe::{Budget, Frame, Observations, Shown};
 pub(crate) use part::part_of;
 pub(crate) use recording::{best_of_parts, content};
 pub use registration::Registration;
+pub use scaled::ScaledFrames;
+pub(crate) use scaled::scaled_frames;
 pub use unit::{OtherUnit, ShownBy};
-pub(crate) use unit::{unit_of_flats, unit_of_scenes};
+pub(crate) use unit::{ScenesShow, unit_of_flats, unit_of_scenes};

@@ -28,6 +28,10 @@ const ALIKE: f64 = 0.8;
 /// that the scenes usually leave, and this much of its own. What misses a source at its edge leaves more.
 const AS_USUAL: f64 = 4.0;
 const SLACK: f64 = 0.01;
+/// It changes all parts of a frame alike: the factor is so many times its standard error by the scatter of [`PARTS`] x
+/// [`PARTS`] parts. Light that falls into a frame from elsewhere is not even.
+const EVEN: f64 = 4.0;
+const PARTS: usize = 3;
 
 /// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept,
 /// so that an even background is no light of the specimen.
@@ -149,10 +153,18 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     let usually_left = median(alike.iter().map(|r| 1.0 - r).collect()).unwrap_or(0.0);
     // What does not look like its object has no light relative to it.
     let looks_like_it = |r: f64| r > ALIKE && 1.0 - r < AS_USUAL * usually_left + SLACK;
-    for ((s, slope), _) in frames.iter().zip(&slopes).zip(&alike).filter(|(_, r)| looks_like_it(**r)) {
-        let factor = slope / usual;
-        // One frame against all others: a drift of the lamp changes all of them.
-        if (factor - 1.0).abs() > LIGHT.max(12.0 * scatter) + at_the_border(seen, s.frame) {
+    let unlike = |factor: f64| (factor - 1.0).abs();
+    // One frame against all others: a drift of the lamp changes all of them.
+    let stands_out = |i: usize, factor: f64| {
+        looks_like_it(alike[i]) && unlike(factor) > LIGHT.max(12.0 * scatter) + at_the_border(seen, frames[i].frame)
+    };
+    let factors: Vec<f64> = slopes.iter().map(|slope| slope / usual).collect();
+    if !factors.iter().enumerate().any(|(i, factor)| stands_out(i, *factor)) {
+        return faults;
+    }
+    let parts: Vec<Parts> = frames.par_iter().map(Parts::of).collect();
+    for (i, (s, factor)) in frames.iter().zip(factors).enumerate() {
+        if stands_out(i, factor) && unlike(factor) > EVEN * parts[i].error(&parts) {
             let r = correlation(&s.measured, &s.own);
             let kind = FaultKind::Exposure { factor };
             faults.push(Fault {
@@ -165,6 +177,40 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
         }
     }
     faults
+}
+
+/// The light of the parts of a frame over that of its record, and how much each part says of it.
+struct Parts(Vec<[f64; 2]>);
+
+impl Parts {
+    fn of(s: &Seen) -> Self {
+        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
+        let (rows, cols) = m.dim();
+        let part = |i: usize, n: usize| i * n / PARTS..(i + 1) * n / PARTS;
+        let of = |k: usize| {
+            let at = ndarray::s![part(k / PARTS, rows), part(k % PARTS, cols)];
+            let (y, m) = (y.slice(at).to_owned(), m.slice(at).to_owned());
+            let weight = m.len() as f64 * f64::from(m.var(0.0));
+            [if weight > 0.0 { slope(&y, &m) } else { 1.0 }, weight]
+        };
+        Self((0..PARTS * PARTS).map(of).collect())
+    }
+
+    /// Standard error of the light of the frame relative to that of all frames, from the scatter of the parts. 0 where
+    /// the light is in one part.
+    fn error(&self, all: &[Self]) -> f64 {
+        let usual = |k: usize| median(all.iter().map(|of| of.0[k]).filter(|p| p[1] > 0.0).map(|p| p[0]).collect());
+        let relative: Vec<[f64; 2]> = (self.0.iter().enumerate())
+            .filter_map(|(k, [slope, weight])| Some([slope / usual(k).filter(|v| *v > 0.0)?, *weight]))
+            .collect();
+        let sum = |of: &dyn Fn(&[f64; 2]) -> f64| relative.iter().map(of).sum::<f64>();
+        let weights = sum(&|p| p[1]).max(1e-30);
+        let mean = sum(&|p| p[0] * p[1]) / weights;
+        let variance = sum(&|p| p[1] * (p[0] - mean).powi(2)) / weights;
+        // So many parts of one weight would say as much.
+        let count = weights * weights / sum(&|p| p[1] * p[1]).max(1e-30);
+        if count < 1.5 { 0.0 } else { (variance / (count - 1.0)).sqrt() }
+    }
 }
 
 /// Share of the light of a frame's object that its record loses, or has too much of, where it is displaced by up to a
@@ -311,6 +357,23 @@ mod tests {
         let [slope, r] = slopes(&seen)[2];
         assert!((slope - 1.0).abs() > LIGHT && r < 0.97, "{slope} {r}");
         assert!(exposures(&observations, &seen).is_empty());
+    }
+
+    #[test]
+    fn light_from_elsewhere_in_one_frame_is_no_wrong_exposure() {
+        let (observations, mut seen) = scenes(0.0, |k| if k == 2 { 1.1 } else { 1.0 });
+        assert_eq!(exposures(&observations, &seen).len(), 1);
+        // A gradient of light has changed the slope by as much.
+        let (_, plain) = scenes(0.0, |_| 1.0);
+        let own = plain[2].own.clone();
+        let mean = own.mean().unwrap();
+        for strength in [0.3, 0.6] {
+            seen[2].measured = Array2::from_shape_fn(own.dim(), |at| {
+                own[at] + strength * mean * (at.1 as f32 - 48.0) / 48.0 * if at.0 < 60 { 4.0 } else { -1.0 }
+            });
+            let slope = slopes(&seen)[2][0];
+            assert!(exposures(&observations, &seen).is_empty(), "{strength} {slope}");
+        }
     }
 
     #[test]

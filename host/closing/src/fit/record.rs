@@ -3,7 +3,7 @@
 
 use super::model::Model;
 use super::state::State;
-use crate::data::{Fault, FaultKind, Observations, Shown};
+use crate::data::{Fault, FaultKind, Observations, ScenesShow, Shown};
 use ndarray::{Array2, Axis};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::metrics::Moments;
@@ -68,6 +68,15 @@ impl Seen {
         let of = |y: &Array2<f32>| (correlation(y, &self.own), slope(y, &self.own));
         let best = self.places().map(of).max_by(|a, b| a.0.total_cmp(&b.0));
         best.map_or(0.0, |(_, slope)| slope)
+    }
+
+    /// What is left without the light of its own record, `light` times, in the tenth of the pixels where that is
+    /// faintest (median), DN above the black level.
+    fn dark_dn(&self, light: f64) -> Option<f64> {
+        let mut pairs: Vec<(f32, f32)> = self.own.iter().copied().zip(self.measured.iter().copied()).collect();
+        let faint = pairs.len().div_ceil(10);
+        pairs.select_nth_unstable_by(faint.checked_sub(1)?, |a, b| a.0.total_cmp(&b.0));
+        median(pairs[..faint].iter().map(|(own, y)| f64::from(*y) - light * f64::from(*own)).collect())
     }
 
     /// The scene as measured and, if all are displaced, moved to where it is expected.
@@ -208,9 +217,12 @@ fn move_back(all: &mut [Seen]) {
     }
 }
 
-/// How many times as bright as their records the scenes usually are. None: there are none.
-pub fn usual_light(frames: &[Seen]) -> Option<f64> {
-    median(frames.iter().map(Seen::light).collect())
+/// How many times as bright as their records the scenes usually are, and their level where these predict no light.
+/// `black_dn` is the black level of the calibration. None: there are none.
+pub(crate) fn usual(frames: &[Seen], black_dn: f64) -> Option<ScenesShow> {
+    let light = median(frames.iter().map(Seen::light).collect())?;
+    let levels = frames.iter().filter_map(|s| s.dark_dn(light)).collect();
+    Some(ScenesShow { light, level_dn: black_dn + median(levels)? })
 }
 
 /// How well a scene fits its own record, the object of another scene of its stack, and its own object, turned.

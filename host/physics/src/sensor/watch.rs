@@ -114,6 +114,11 @@ impl FrameRange {
         (darkest - self.black_level_dn as f32).abs() <= noise
     }
 
+    /// An oddity in words, with what to do.
+    pub fn words(&self, oddity: Oddity) -> String {
+        Words(*self, oddity).to_string()
+    }
+
     /// What values that are too small look like; `high` is the largest.
     fn scaled(&self, frame_dn: ArrayView2<'_, f32>, high: f32) -> Scaled {
         let whole = frame_dn.iter().all(|v| v.fract() == 0.0);
@@ -122,7 +127,7 @@ impl FrameRange {
         let dark = lower_part(frame_dn);
         match high {
             high if high <= 1.0 => Scaled::ToOne,
-            high if high <= 255.0 && whole && self.saturation_dn > 511.0 => Scaled::EightBit,
+            high if high <= 255.0 && whole && self.saturation_dn > 511.0 && dark < 0.5 * black => Scaled::EightBit,
             _ if dark.abs() < 0.25 * black => Scaled::Subtracted,
             _ => Scaled::Other,
         }
@@ -216,7 +221,7 @@ impl FrameWatch {
             0 => String::new(),
             more => format!(" ({more} more of {} are odd, too)", self.seen),
         };
-        Some(format!("{}: frame {frame}{others}: {}", path.display(), Words(self.range, oddity)))
+        Some(format!("{}: frame {frame}{others}: {}", path.display(), self.range.words(oddity)))
     }
 }
 

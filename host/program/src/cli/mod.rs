@@ -73,14 +73,10 @@ enum Verb {
     #[command(after_help = "Example:\n  ommatidia calibrate session -o lab.instrument")]
     Calibrate(calibrate::Args),
     /// Compare an instrument with a session: measured minus predicted, and what the residual depends on
-    #[command(
-        after_help = "Example:\n  ommatidia residual session --instrument lab.instrument --report residual.html"
-    )]
+    #[command(after_help = "Example:\n  ommatidia residual session --instrument lab.instrument --report residual.html")]
     Residual(residual::Args),
     /// Find effects that the instrument lacks, add them, and report before and after on held-out data
-    #[command(
-        after_help = "Example:\n  ommatidia close session --instrument lab.instrument -o closed.instrument"
-    )]
+    #[command(after_help = "Example:\n  ommatidia close session --instrument lab.instrument -o closed.instrument")]
     Close(close::Args),
     /// Measure how far `close` can be trusted, with many virtual sessions that have undeclared effects
     #[command(after_help = "Example:\n  ommatidia study -o study --quick")]
@@ -117,10 +113,8 @@ enum Verb {
             erf.safetensors")]
     Erf(erf::Args),
     /// Train networks that differ in one choice each, and print their figures in a table
-    #[command(
-        after_help = "Example:\n  ommatidia ablate pairs --instrument lab.instrument --session session -o \
-            ablation"
-    )]
+    #[command(after_help = "Example:\n  ommatidia ablate pairs --instrument lab.instrument --session session -o \
+            ablation")]
     Ablate(ablate::Args),
     /// Learn intervals for each pixel of a method's reconstructions, on the virtual instrument
     #[command(after_help = "Example:\n  ommatidia uncertainty lab.instrument --with net.omm -o \

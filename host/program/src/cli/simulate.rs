@@ -11,9 +11,7 @@ use std::path::PathBuf;
 
 /// Options of `simulate`.
 #[derive(Debug, clap::Args)]
-#[command(
-    after_help = "Example: ommatidia simulate lab.instrument -o pairs --count 1024 --specimen beads,cells"
-)]
+#[command(after_help = "Example: ommatidia simulate lab.instrument -o pairs --count 1024 --specimen beads,cells")]
 pub struct Args {
     /// Instrument file to simulate frames with
     instrument: PathBuf,
