@@ -60,10 +60,14 @@ impl Names {
     /// strength differs from frame to frame or over the sensor, and where the noise still has structure.
     pub(crate) fn of(all: Vec<Effect>, judged: Judged<'_>) -> Self {
         let found = |e: &Effect| judged.found.iter().find(|(f, _)| f.id == e.id);
+        let strongest = judged.found.iter().map(|(f, _)| f.held_out_gain).fold(0.0, f64::max);
+        let is_much = |e: &Effect| found(e).is_some_and(|(f, _)| f.held_out_gain > TENTH * strongest);
         // Darks and even light prove a table pixel by pixel, whatever is left of the scenes. Nothing but blurred truths
-        // makes scenes sharper by more than any effect of the optics, and their blur is no Gaussian.
+        // makes scenes sharper by more than any effect of the optics, and their blur is no Gaussian; a little sharper
+        // they may be where the law of a stronger effect errs.
         let may_imitate = |e: &Effect| {
-            let proved = |effect: &&dyn physics::Effect| effect.table().is_some() || effect.is_of_truths();
+            let proved =
+                |effect: &&dyn physics::Effect| effect.table().is_some() || effect.is_of_truths() && is_much(e);
             claims_a_cause(e, judged.recalibrated) && !find(&e.id).is_some_and(|effect| proved(&effect))
         };
         let objection = |e: &Effect| found(e).and_then(|(_, constancy)| constancy.objection(judged.psf_error));
@@ -307,6 +311,11 @@ mod tests {
         it.disown(false);
         assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("unknown_factor", "hot_pixels"));
         assert_eq!((it.effects.len(), it.nearest.len()), (1, 1));
+        // A blur of the truths that explains little beside a leak, and not the same everywhere, is no cause.
+        let uneven = Constancy { frames: Spread { tau: 0.7, z: 9.0, resolution: 0.05 }, ..Constancy::default() };
+        let [leak, blur] = [found("lens_leakage", 9e3), found("truth_blur", 3e2)];
+        let it = names(&[(&leak, none), (&blur, uneven)], Left::default(), false);
+        assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("lens_leakage", "truth_blur"));
         // Nor are truths in doubt that are blurred so much that no model describes their scenes.
         let (truths, much) = (found("truth_blur", 9e3), Left { judged: 0.9, even: 0.0, much: true });
         let mut it = names(&[(&truths, none)], much, false);
