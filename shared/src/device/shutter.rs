@@ -76,7 +76,7 @@ impl Shutter {
                 camera.triggered();
                 let began = camera.now_us();
                 while !camera.triggered() {
-                    let waited = camera.now_us().saturating_sub(began);
+                    let waited = since(camera, began);
                     if waited > TRIGGER_US {
                         return Err(Refusal::NoTrigger { waited_ms: ms(waited) });
                     }
@@ -99,22 +99,30 @@ impl Shutter {
             Ok(()) => Ok(Capture { number, start_us, settings }),
             Err(_) => {
                 self.failed_frames = self.failed_frames.wrapping_add(1);
-                Err(Refusal::NoFrame { waited_ms: ms(camera.now_us().saturating_sub(start_us)) })
+                Err(Refusal::NoFrame { waited_ms: ms(since(camera, start_us)) })
             }
         }
     }
 
-    /// Waits for the first place in the grid that is not over, and returns its number.
-    fn wait_for_place(&self, camera: &dyn Camera, interval_us: u32, alive: &mut dyn FnMut()) -> u32 {
+    /// Waits for the first place in the grid that is not over, and returns its number. That is one interval away at most
+    /// unless the clock has stepped back: then a new grid begins.
+    fn wait_for_place(&mut self, camera: &dyn Camera, interval_us: u32, alive: &mut dyn FnMut()) -> u32 {
         let interval = u64::from(interval_us.max(1));
-        let passed = camera.now_us().saturating_sub(self.origin_us);
+        let passed = since(camera, self.origin_us);
         let place = passed.div_ceil(interval).max(self.next.wrapping_sub(self.first).into());
         let due = self.origin_us.saturating_add(place.saturating_mul(interval));
-        while camera.now_us() < due {
+        loop {
+            let now = camera.now_us();
+            if now >= due {
+                return self.first.wrapping_add(place as u32);
+            }
+            if due - now > interval {
+                (self.origin_us, self.first) = (now, self.next);
+                return self.next;
+            }
             alive();
             camera.pause();
         }
-        self.first.wrapping_add(place as u32)
     }
 
     /// Waits until the frame is in memory. The LED is lit until the exposure ends.
@@ -130,7 +138,7 @@ impl Shutter {
             if camera.ready()? {
                 return Ok(());
             }
-            let passed = camera.now_us().saturating_sub(start_us);
+            let passed = since(camera, start_us);
             if lit && passed >= exposure_us {
                 self.light(camera, 0);
                 lit = false;
@@ -152,6 +160,12 @@ impl Shutter {
         }
         self.lit_since_us = (permille > 0).then_some(now);
     }
+}
+
+/// Time since `start_us`. A clock before it has stepped back; any wait is over then, for the watchdog is fed during waits
+/// and would not end it.
+fn since(camera: &dyn Camera, start_us: u64) -> u64 {
+    camera.now_us().checked_sub(start_us).unwrap_or(u64::MAX)
 }
 
 fn ms(us: u64) -> u32 {

@@ -27,6 +27,8 @@ struct Fake {
     began: Option<u64>,
     pulses_us: Option<u64>,
     pulse: u64,
+    /// The clock steps back to 0 at the end of this many pauses.
+    reset_after: Cell<u32>,
     /// No frame comes.
     silent: bool,
     /// The sensor does not respond.
@@ -45,7 +47,8 @@ impl Fake {
         };
         let now = Cell::new(1_000_000);
         let (led, lit) = ((0, 0), Vec::new());
-        Self { now, settings, led, lit, began: None, pulses_us: None, pulse: 0, silent: false, deaf: false }
+        let (began, pulses_us, pulse, reset_after) = (None, None, 0, Cell::new(0));
+        Self { now, settings, led, lit, began, pulses_us, pulse, reset_after, silent: false, deaf: false }
     }
 
     fn sleep(&self, us: u64) {
@@ -113,6 +116,14 @@ impl Camera for Fake {
 
     fn pause(&self) {
         self.sleep(TICK_US);
+        match self.reset_after.get() {
+            0 => {}
+            1 => {
+                self.now.set(0);
+                self.reset_after.set(0);
+            }
+            left => self.reset_after.set(left - 1),
+        }
     }
 }
 
@@ -161,6 +172,39 @@ fn frames_that_are_not_taken_are_gaps_in_the_numbers() {
     // A question begins none.
     status(&mut shutter, &mut camera);
     assert_eq!(take(&mut shutter, &mut camera).unwrap().start_us - after.start_us, 50_000);
+}
+
+/// A clock that steps back costs the grid or a frame, and never an endless wait in which the watchdog is fed.
+#[test]
+fn a_clock_that_steps_back_ends_every_wait() {
+    let bounded = |shutter: &mut Shutter, camera: &mut Fake| {
+        let mut waits = 0;
+        shutter.take(camera, &mut || {
+            waits += 1;
+            assert!(waits < 1_000_000, "an endless wait");
+        })
+    };
+    let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
+    camera.sleep(1 << 40);
+    let change = CameraChange { interval_us: Some(50_000), ..CameraChange::default() };
+    shutter.change(&mut camera, change, 64).unwrap();
+    let first = bounded(&mut shutter, &mut camera).unwrap();
+    // Between two frames: the numbers go on, on a new grid.
+    camera.now.set(5);
+    let second = bounded(&mut shutter, &mut camera).unwrap();
+    assert_eq!((second.number, second.start_us), (first.number + 1, 5));
+    let third = bounded(&mut shutter, &mut camera).unwrap();
+    assert_eq!((third.number, third.start_us - 5), (second.number + 1, 50_000));
+    // While it waits for the next place, and while it waits for pixels.
+    camera.sleep(1 << 40);
+    bounded(&mut shutter, &mut camera).unwrap();
+    camera.reset_after.set(2);
+    bounded(&mut shutter, &mut camera).unwrap();
+    camera.sleep(1 << 40);
+    camera.silent = true;
+    camera.reset_after.set(5100);
+    assert!(matches!(bounded(&mut shutter, &mut camera), Err(Refusal::NoFrame { .. })));
+    assert_eq!(camera.led.0, 0);
 }
 
 #[test]
