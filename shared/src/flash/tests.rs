@@ -98,6 +98,24 @@ fn one_flipped_bit_of_a_mark_costs_nothing_and_one_of_a_file_costs_the_file() {
     }
 }
 
+/// As after starts that ended in faults.
+#[test]
+fn where_no_slot_is_active_the_newest_file_is_kept() {
+    let mut memory = vec![0; FLASH];
+    for byte in 1..5 {
+        let newest = found(&mut memory);
+        let mut slots = Slots::new(RamFlash::new(&mut memory));
+        // Begun and not committed: what was newest is found again.
+        fill(&mut slots, &[0; 500], 100).unwrap();
+        assert_eq!(found(&mut memory), newest);
+        let mut slots = Slots::new(RamFlash::new(&mut memory));
+        fill(&mut slots, &[byte; 500], 100).unwrap();
+        slots.commit().unwrap();
+        let slot = Slot::ALL[usize::from(byte + 1) % 2];
+        assert_eq!(found(&mut memory), Some((slot, byte.into(), vec![byte; 500])));
+    }
+}
+
 #[test]
 fn generations_may_wrap() {
     let mark = |generation| Mark { generation, len: 4, crc: 0 };
