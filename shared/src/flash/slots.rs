@@ -155,7 +155,8 @@ impl<F: MappedFlash> Slots<F> {
     /// Writes the mark of the finished file and makes it the active one, now and after the next start.
     ///
     /// # Errors
-    /// [`IoError::Failed`] where no file was finished or the flash failed.
+    /// [`IoError::Failed`] where no file was finished or neither copy of the mark could be written. The file is then not
+    /// active, now or later.
     pub fn commit(&mut self) -> Result<(), IoError> {
         let Staged { slot, len, .. } = self.staged.take().ok_or(IoError::Failed)?;
         let newest = self.committed()[0].map_or(0, |(_, mark)| mark.generation);
@@ -163,9 +164,11 @@ impl<F: MappedFlash> Slots<F> {
         let mark = Mark::of(file, newest.wrapping_add(1)).ok_or(IoError::Failed)?;
         let at = self.start(slot);
         for copy in 0..2 {
-            write(&mut self.flash, at + copy * UNIT, &mark.encode())?;
+            // What a start will read decides, and not what the flash says of the step.
+            let _ = write(&mut self.flash, at + copy * UNIT, &mark.encode());
         }
         if self.mark(slot) != Some(mark) {
+            self.erase_sector(at)?;
             return Err(IoError::Failed);
         }
         self.activate(slot, mark);

@@ -28,7 +28,7 @@ pub fn try_here() -> Result<Vec<Row>, DeviceError> {
     rows.extend([power::cut_twice(false)?, power::cut_twice(true)?, power::starts()?]);
     rows.extend(bits::bit_rot()?);
     rows.push(bits::spoilt_words()?);
-    rows.extend([bits::flipped_writes()?, bits::bad_networks()?]);
+    rows.extend([bits::flipped_writes()?, bits::reported_errors()?, bits::bad_networks()?]);
     rows.extend(line::lines()?);
     Ok(rows)
 }
