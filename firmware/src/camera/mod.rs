@@ -25,7 +25,7 @@ pub trait ImageSensor {
     /// What the sensor can do, while its other settings are these.
     fn limits(settings: &CameraSettings) -> CameraLimits;
 
-    /// Sets the sensor to settings from [`Self::plan`].
+    /// Sets the sensor to settings from [`Self::plan`], whatever it was set to.
     ///
     /// # Errors
     /// Those of its bus.

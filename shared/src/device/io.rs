@@ -68,7 +68,8 @@ pub trait Camera {
     /// # Errors
     /// The setting that the sensor cannot have, and its limits.
     fn plan(&self, wanted: CameraSettings) -> Result<CameraSettings, SettingError>;
-    /// Sets the sensor to settings from [`Self::plan`].
+    /// Sets the sensor to settings from [`Self::plan`], whatever it was set to. Where that fails [`Self::settings`] are
+    /// those before.
     ///
     /// # Errors
     /// [`IoError::Failed`] where the sensor does not respond.

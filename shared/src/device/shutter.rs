@@ -6,7 +6,7 @@
 
 use super::io::{Camera, IoError};
 use super::refuse::saturated;
-use crate::wire::{CameraChange, CameraStatus, Capture, Refusal, Transfer, Trigger};
+use crate::wire::{CameraChange, CameraSettings, CameraStatus, Capture, Refusal, Transfer, Trigger};
 use heapless::String;
 
 /// Longest wait for the pixels after an exposure, us.
@@ -25,6 +25,9 @@ pub(super) struct Shutter {
     next: u32,
     frames: u32,
     failed_frames: u32,
+    /// The sensor may have other settings than those in force: it did not take them, or did not deliver a frame. Maybe it
+    /// was without power for a moment.
+    stale: bool,
     lit_us: u64,
     /// Since when the LED is lit.
     lit_since_us: Option<u64>,
@@ -45,8 +48,8 @@ impl Shutter {
                 return Err(Refusal::NoRoom { what: Transfer::Frame, needed, available });
             }
             let settings = camera.plan(wanted).map_err(Refusal::Setting)?;
-            if settings != camera.settings() {
-                camera.apply(settings).map_err(|_| Refusal::NoCamera)?;
+            if settings != camera.settings() || self.stale {
+                self.apply(camera, settings).map_err(|_| Refusal::NoCamera)?;
                 (self.origin_us, self.first) = (camera.now_us(), self.next);
             }
         }
@@ -65,10 +68,21 @@ impl Shutter {
         })
     }
 
+    /// Sets the sensor. Where that fails it may be half set.
+    fn apply(&mut self, camera: &mut dyn Camera, settings: CameraSettings) -> Result<(), IoError> {
+        self.stale = true;
+        camera.apply(settings)?;
+        self.stale = false;
+        Ok(())
+    }
+
     /// Waits for the next place in the grid, or for a pulse, exposes a frame and waits until it is in memory. `alive`
     /// is called during waits.
     pub fn take(&mut self, camera: &mut dyn Camera, alive: &mut dyn FnMut()) -> Result<Capture, Refusal> {
         let settings = camera.settings();
+        if self.stale && self.apply(camera, settings).is_err() {
+            return Err(self.fails(camera, camera.now_us()));
+        }
         let number = match settings.trigger {
             Trigger::Device => self.wait_for_place(camera, settings.interval_us, alive),
             Trigger::Input => {
@@ -87,7 +101,6 @@ impl Shutter {
             }
         };
         self.next = number.wrapping_add(1);
-        self.frames = self.frames.wrapping_add(1);
         self.light(camera, settings.led_permille);
         let start_us = camera.now_us();
         let taken = match camera.expose() {
@@ -96,12 +109,20 @@ impl Shutter {
         };
         self.light(camera, 0);
         match taken {
-            Ok(()) => Ok(Capture { number, start_us, settings }),
-            Err(_) => {
-                self.failed_frames = self.failed_frames.wrapping_add(1);
-                Err(Refusal::NoFrame { waited_ms: ms(since(camera, start_us)) })
+            Ok(()) => {
+                self.frames = self.frames.wrapping_add(1);
+                Ok(Capture { number, start_us, settings })
             }
+            Err(_) => Err(self.fails(camera, start_us)),
         }
+    }
+
+    /// Counts a frame that the sensor does not deliver. It is set again before the next one.
+    fn fails(&mut self, camera: &dyn Camera, start_us: u64) -> Refusal {
+        self.stale = true;
+        self.frames = self.frames.wrapping_add(1);
+        self.failed_frames = self.failed_frames.wrapping_add(1);
+        Refusal::NoFrame { waited_ms: ms(since(camera, start_us)) }
     }
 
     /// Waits for the first place in the grid that is not over, and returns its number. That is one interval away at most

@@ -33,6 +33,8 @@ struct Fake {
     silent: bool,
     /// The sensor does not respond.
     deaf: bool,
+    /// What the sensor is really set to; `None` where it is half set, or has lost it.
+    set: Option<CameraSettings>,
 }
 
 impl Fake {
@@ -48,7 +50,19 @@ impl Fake {
         let now = Cell::new(1_000_000);
         let (led, lit) = ((0, 0), Vec::new());
         let (began, pulses_us, pulse, reset_after) = (None, None, 0, Cell::new(0));
-        Self { now, settings, led, lit, began, pulses_us, pulse, reset_after, silent: false, deaf: false }
+        Self {
+            now,
+            settings,
+            led,
+            lit,
+            began,
+            pulses_us,
+            pulse,
+            reset_after,
+            silent: false,
+            deaf: false,
+            set: Some(settings),
+        }
     }
 
     fn sleep(&self, us: u64) {
@@ -81,10 +95,11 @@ impl Camera for Fake {
     }
 
     fn apply(&mut self, settings: CameraSettings) -> Result<(), IoError> {
+        self.set = None;
         if self.deaf {
             return Err(IoError::Failed);
         }
-        self.settings = settings;
+        (self.settings, self.set) = (settings, Some(settings));
         Ok(())
     }
 
@@ -243,6 +258,35 @@ fn the_led_is_dark_when_frames_stop() {
     take(&mut shutter, &mut camera).unwrap();
     let status = status(&mut shutter, &mut camera);
     assert_eq!((status.frames, status.failed_frames), (3, 2));
+}
+
+/// No frame is exposed while the sensor is half set, or may have lost its settings.
+#[test]
+fn a_sensor_that_failed_is_set_again_before_the_next_exposure() {
+    let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
+    let before = camera.settings;
+    let shorter = CameraChange { exposure_us: Some(5005), ..CameraChange::default() };
+    // A change that fails: the settings before it are in force, and the sensor gets them before it exposes.
+    camera.deaf = true;
+    assert_eq!(shutter.change(&mut camera, shorter, 64), Err(Refusal::NoCamera));
+    assert!(matches!(take(&mut shutter, &mut camera), Err(Refusal::NoFrame { waited_ms: 0 })));
+    assert!(camera.lit.is_empty(), "nothing was exposed");
+    camera.deaf = false;
+    assert_eq!(take(&mut shutter, &mut camera).unwrap().settings, before);
+    assert_eq!(camera.set, Some(before));
+    // The same settings are written again where a change to them has failed.
+    let same = CameraChange { exposure_us: Some(10_010), ..CameraChange::default() };
+    camera.deaf = true;
+    assert_eq!(shutter.change(&mut camera, shorter, 64), Err(Refusal::NoCamera));
+    camera.deaf = false;
+    shutter.change(&mut camera, same, 64).unwrap();
+    assert_eq!(camera.set, Some(before));
+    // A sensor that was without power has lost its settings, and delivers no frame.
+    (camera.silent, camera.set) = (true, None);
+    take(&mut shutter, &mut camera).unwrap_err();
+    camera.silent = false;
+    take(&mut shutter, &mut camera).unwrap();
+    assert_eq!(camera.set, Some(before));
 }
 
 #[test]

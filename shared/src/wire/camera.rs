@@ -142,7 +142,7 @@ pub struct CameraStatus {
     pub limits: CameraLimits,
     /// Clock of the device, us since its start.
     pub now_us: u64,
-    /// Frames that were exposed since the start.
+    /// Frames that the sensor was to expose since the start.
     pub frames: u32,
     /// Of these, frames that the sensor did not deliver.
     pub failed_frames: u32,
