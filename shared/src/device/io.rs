@@ -90,6 +90,8 @@ pub trait Camera {
     /// # Errors
     /// [`IoError::Failed`] where the transfer from the sensor failed.
     fn ready(&mut self) -> Result<bool, IoError>;
+    /// The frame that was to be exposed is not waited for any more: nothing writes to the memory of frames from now on.
+    fn abandon(&mut self);
     /// Called again and again during waits.
     fn pause(&self) {
         core::hint::spin_loop();

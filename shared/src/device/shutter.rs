@@ -113,7 +113,10 @@ impl Shutter {
                 self.frames = self.frames.wrapping_add(1);
                 Ok(Capture { number, start_us, settings })
             }
-            Err(_) => Err(self.fails(camera, start_us)),
+            Err(_) => {
+                camera.abandon();
+                Err(self.fails(camera, start_us))
+            }
         }
     }
 

@@ -129,6 +129,10 @@ impl Camera for Fake {
         Ok(!self.silent && self.now.get() >= done)
     }
 
+    fn abandon(&mut self) {
+        self.began = None;
+    }
+
     fn pause(&self) {
         self.sleep(TICK_US);
         match self.reset_after.get() {
@@ -258,6 +262,12 @@ fn the_led_is_dark_when_frames_stop() {
     take(&mut shutter, &mut camera).unwrap();
     let status = status(&mut shutter, &mut camera);
     assert_eq!((status.frames, status.failed_frames), (3, 2));
+    // Nothing comes later, into the memory of another frame.
+    for (silent, deaf) in [(true, false), (false, true)] {
+        (camera.silent, camera.deaf) = (silent, deaf);
+        take(&mut shutter, &mut camera).unwrap_err();
+        assert!(camera.began.is_none());
+    }
 }
 
 /// No frame is exposed while the sensor is half set, or may have lost its settings.

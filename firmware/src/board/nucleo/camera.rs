@@ -301,4 +301,8 @@ impl ImageCamera for Camera {
         self.pixels = self.settings.region.pixels();
         Ok(true)
     }
+
+    fn abandon(&mut self) {
+        stop();
+    }
 }
