@@ -192,6 +192,11 @@ impl<B: I2c> ImageSensor for Mt9v032<B> {
         }
     }
 
+    /// An exposure begins with a row, up to two rows after the pulse. A microsecond more is for the pulse itself.
+    fn latency_us(settings: &CameraSettings) -> u32 {
+        (2 * row_clocks(settings.region)).div_ceil(CLOCK_MHZ) + 1
+    }
+
     /// Writes every register that differs from what it is after a reset, so that a sensor that was without power for a
     /// moment is as it was. What changes frames by itself is off: automatic exposure, automatic gain, and the correction
     /// of row noise, which the calibration measures.
@@ -333,6 +338,12 @@ mod tests {
         let limits = Sensor::limits(&set);
         assert_eq!((limits.exposure_us.least, limits.exposure_us.most), (28, 36_988));
         assert_eq!((limits.interval_us.least, limits.interval_us.most), (13_035, 1_000_000));
+    }
+
+    #[test]
+    fn an_exposure_may_begin_two_rows_after_its_pulse() {
+        // Rows of 27.5 us, and of 795 clocks.
+        assert_eq!([settings(214, 214, 1), settings(480, 752, 1)].map(|s| Sensor::latency_us(&s)), [56, 68]);
     }
 
     #[test]

@@ -76,6 +76,10 @@ pub trait Camera {
     fn apply(&mut self, settings: CameraSettings) -> Result<(), IoError>;
     /// Clock, microseconds since the start.
     fn now_us(&self) -> u64;
+    /// Longest time from [`Self::expose`] until the sensor really begins, us. The LED stays on that much longer.
+    fn latency_us(&self) -> u32 {
+        0
+    }
     /// Sets the excitation LED to `permille` thousandths of the full current; dark at 0.
     fn light(&mut self, permille: u16);
     /// Whether a pulse has come to the trigger input since the last call.

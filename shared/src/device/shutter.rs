@@ -149,25 +149,26 @@ impl Shutter {
         }
     }
 
-    /// Waits until the frame is in memory. The LED is lit until the exposure ends.
+    /// Waits until the frame is in memory. The LED is lit until the exposure has ended, whenever it began.
     fn wait_for_pixels(
         &mut self,
         camera: &mut dyn Camera,
         start_us: u64,
         alive: &mut dyn FnMut(),
     ) -> Result<(), IoError> {
-        let exposure_us = u64::from(camera.settings().exposure_us);
+        // The sensor may begin late, and the last part of the exposure needs light as well.
+        let lit_us = u64::from(camera.settings().exposure_us) + u64::from(camera.latency_us());
         let mut lit = true;
         loop {
             if camera.ready()? {
                 return Ok(());
             }
             let passed = since(camera, start_us);
-            if lit && passed >= exposure_us {
+            if lit && passed >= lit_us {
                 self.light(camera, 0);
                 lit = false;
             }
-            if passed > exposure_us + READOUT_US {
+            if passed > lit_us + READOUT_US {
                 return Err(IoError::Failed);
             }
             alive();

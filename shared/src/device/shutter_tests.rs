@@ -29,6 +29,8 @@ struct Fake {
     pulse: u64,
     /// The clock steps back to 0 at the end of this many pauses.
     reset_after: Cell<u32>,
+    /// Longest time until an exposure begins, and the time until this one begins, us.
+    latency_us: [u32; 2],
     /// No frame comes.
     silent: bool,
     /// The sensor does not respond.
@@ -49,7 +51,7 @@ impl Fake {
         };
         let now = Cell::new(1_000_000);
         let (led, lit) = ((0, 0), Vec::new());
-        let (began, pulses_us, pulse, reset_after) = (None, None, 0, Cell::new(0));
+        let (began, pulses_us, pulse, reset_after, latency_us) = (None, None, 0, Cell::new(0), [0; 2]);
         Self {
             now,
             settings,
@@ -59,6 +61,7 @@ impl Fake {
             pulses_us,
             pulse,
             reset_after,
+            latency_us,
             silent: false,
             deaf: false,
             set: Some(settings),
@@ -107,6 +110,10 @@ impl Camera for Fake {
         self.now.get()
     }
 
+    fn latency_us(&self) -> u32 {
+        self.latency_us[0]
+    }
+
     fn light(&mut self, permille: u16) {
         if self.led.0 > 0 {
             self.lit.push((self.led.1, self.now.get()));
@@ -120,7 +127,7 @@ impl Camera for Fake {
     }
 
     fn expose(&mut self) -> Result<(), IoError> {
-        self.began = Some(self.now.get());
+        self.began = Some(self.now.get() + u64::from(self.latency_us[1]));
         if self.deaf { Err(IoError::Failed) } else { Ok(()) }
     }
 
@@ -246,6 +253,19 @@ fn the_led_is_lit_during_exposures_and_dark_without_a_host() {
     shutter.change(&mut camera, CameraChange { led_permille: Some(0), ..CameraChange::default() }, 64).unwrap();
     take(&mut shutter, &mut camera).unwrap();
     assert_eq!((camera.lit.len(), status(&mut shutter, &mut camera).lit_us), (5, lit));
+}
+
+#[test]
+fn the_led_is_lit_to_the_end_of_an_exposure_that_begins_late() {
+    let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
+    for late_us in [0, 20, 66] {
+        camera.latency_us = [66, late_us];
+        let start = take(&mut shutter, &mut camera).unwrap().start_us;
+        let (from, to) = camera.lit.pop().unwrap();
+        let (begins, ends) = (start + u64::from(late_us), start + u64::from(late_us) + 10_010);
+        assert!(from <= begins && to >= ends, "lit from {from} to {to} us, exposed from {begins} to {ends} us");
+        assert!(to <= start + 10_010 + 66 + TICK_US, "and no longer than that takes at most");
+    }
 }
 
 #[test]

@@ -269,6 +269,10 @@ impl ImageCamera for Camera {
         clock::now_us()
     }
 
+    fn latency_us(&self) -> u32 {
+        Mt9v032::<I2c<'static, Blocking, Master>>::latency_us(&self.settings)
+    }
+
     fn light(&mut self, permille: u16) {
         light::set(LED.count(permille.into()) as u16, self.settings.exposure_us);
     }
