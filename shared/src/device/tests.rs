@@ -6,7 +6,7 @@ extern crate std;
 use super::{Arenas, Device, Line, RamFrame, RamObject, Silent, Step};
 use crate::flash::{RAM_SECTOR, RamFlash};
 use crate::wire::frame::decode;
-use crate::wire::{MAX_PACKET, Packet, Refusal, Reply, Request, SCHEMA_KEY, VERSION, encode};
+use crate::wire::{MAX_PACKET, Packet, Refusal, Reply, Request, SCHEMA_KEY, Transfer, VERSION, encode};
 use half::f16;
 use std::vec;
 use std::vec::Vec;
@@ -55,5 +55,21 @@ fn a_device_that_was_not_greeted_refuses_everything_else() {
         assert_eq!(refused(9, HELLO), Some(false));
         assert_eq!(refused(10, Request::Telemetry), Some(false));
         assert_eq!(refused(8, Request::Telemetry), None, "a late copy");
+    });
+}
+
+#[test]
+fn a_repeated_beginning_drops_no_frame_and_another_one_does() {
+    on_a_desk(|device| {
+        let begin = |len| Request::Begin { what: Transfer::Frame, len };
+        let chunk = Request::Chunk { what: Transfer::Frame, offset: 0, data: &[1, 0] };
+        // After each request: frames that were begun and will not be reconstructed.
+        let steps = [(begin(8), 0), (begin(8), 0), (chunk, 0), (chunk, 0), (begin(8), 1), (begin(8), 1), (begin(6), 2)];
+        for (i, (request, dropped)) in steps.into_iter().enumerate() {
+            let reply = device.handle(request);
+            assert!(matches!(reply, Reply::Done | Reply::Received { offset: 2 }), "step {i}");
+            let Reply::Telemetry(telemetry) = device.handle(Request::Telemetry) else { panic!("step {i}") };
+            assert_eq!(telemetry.dropped_frames, dropped, "step {i}");
+        }
     });
 }
