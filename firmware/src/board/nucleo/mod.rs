@@ -76,7 +76,7 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     cache::enable(&mut core);
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
-    clock::begin(core.SYST, revision.mhz() / 2);
+    clock::begin(core.SYST, revision.mhz());
     log::chip(revision.name(), revision.mhz());
     light::begin(p.PA5);
     let camera = Camera::new(
