@@ -5,6 +5,8 @@ mod activity;
 #[cfg(all(feature = "board", target_os = "none"))]
 mod float;
 #[cfg(all(feature = "board", target_os = "none"))]
+mod guard;
+#[cfg(all(feature = "board", target_os = "none"))]
 mod masked;
 #[cfg(all(feature = "board", target_os = "none"))]
 mod memory;
