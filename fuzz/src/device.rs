@@ -47,14 +47,7 @@ pub fn try_input(data: &[u8]) {
         let (set, limits) = (status.settings, status.limits);
         assert!(set.region.pixels() <= 2048);
         assert!((limits.exposure_us.least..=limits.exposure_us.most).contains(&set.exposure_us));
-        let again = CameraChange {
-            exposure_us: Some(set.exposure_us),
-            analog_gain_thousandths: Some(set.analog_gain_thousandths),
-            interval_us: Some(set.interval_us),
-            led_permille: Some(set.led_permille),
-            region: Some(set.region),
-            trigger: Some(set.trigger),
-        };
+        let again = CameraChange::to(set);
         let Reply::Camera(after) = device.handle(Request::Camera(again)) else { panic!("refused: {again:?}") };
         assert_eq!(after.settings, set);
     } else {

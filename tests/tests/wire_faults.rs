@@ -192,6 +192,7 @@ fn another_version_and_late_copies_are_turned_away() {
 #[test]
 fn packed_pixels_arrive_and_those_that_are_not_there_are_refused() {
     let mut line = loopback();
+    assert!(ask(&mut line, 0, Request::Hello { version: VERSION, schema: SCHEMA_KEY }).is_some());
     assert_eq!(ask(&mut line, 1, Request::Begin { what: Transfer::Frame, len: 400 }).unwrap(), "Done");
     let pixels: Vec<u16> = (0..200).map(|i| 1000 + i % 7).collect();
     let mut out = [0; 300];

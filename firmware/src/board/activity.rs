@@ -34,7 +34,7 @@ impl<const PER_MS: u32> Account<PER_MS> {
         Activity { total_ms: self.total.ms(), asleep_ms: self.asleep.ms() }
     }
 
-    /// Time since the start, microseconds, at clock `now`. It wraps after 49 days.
+    /// Time since the start, microseconds, at clock `now`.
     pub(super) fn now_us(&self, now: u32) -> u64 {
         self.pass(now);
         self.total.us()
@@ -46,29 +46,67 @@ impl<const PER_MS: u32> Account<PER_MS> {
     }
 }
 
-/// A sum of ticks, in milliseconds.
-struct Sum<const PER_MS: u32> {
-    ms: AtomicU32,
-    rest: AtomicU32,
-}
+/// A sum of ticks: its low and its high word, as the cores have no atomic numbers of 64 bits.
+struct Sum<const PER_MS: u32>([AtomicU32; 2]);
 
 impl<const PER_MS: u32> Sum<PER_MS> {
     const fn new() -> Self {
-        Self { ms: AtomicU32::new(0), rest: AtomicU32::new(0) }
+        Self([AtomicU32::new(0), AtomicU32::new(0)])
     }
 
+    fn ticks(&self) -> u64 {
+        let [low, high] = self.0.each_ref().map(|word| u64::from(word.load(Ordering::Relaxed)));
+        high << 32 | low
+    }
+
+    /// Milliseconds, at most 49 days of them: the message has 32 bits.
     fn ms(&self) -> u32 {
-        self.ms.load(Ordering::Relaxed)
+        u32::try_from(self.ticks() / u64::from(PER_MS)).unwrap_or(u32::MAX)
     }
 
     fn us(&self) -> u64 {
-        let rest = u64::from(self.rest.load(Ordering::Relaxed)) * 1000 / u64::from(PER_MS);
-        u64::from(self.ms()) * 1000 + rest
+        let (ticks, per_ms) = (self.ticks(), u64::from(PER_MS));
+        ticks / per_ms * 1000 + ticks % per_ms * 1000 / per_ms
     }
 
     fn add(&self, ticks: u32) {
-        let ticks = u64::from(self.rest.load(Ordering::Relaxed)) + u64::from(ticks);
-        self.rest.store((ticks % u64::from(PER_MS)) as u32, Ordering::Relaxed);
-        self.ms.store(self.ms().wrapping_add((ticks / u64::from(PER_MS)) as u32), Ordering::Relaxed);
+        let sum = self.ticks().wrapping_add(ticks.into());
+        for (word, value) in self.0.iter().zip([sum as u32, (sum >> 32) as u32]) {
+            word.store(value, Ordering::Relaxed);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The longest step between two updates of a clock of 32 bits that a test takes.
+    const STEP: u32 = 0xffff_0000;
+
+    fn after<const PER_MS: u32>(steps: u32) -> (u64, Activity) {
+        let account = Account::<PER_MS>::new();
+        let (mut now, mut last_us) = (7, 0);
+        account.begin(now);
+        for _ in 0..steps {
+            now = now.wrapping_add(STEP);
+            let us = account.now_us(now);
+            assert!(us > last_us, "the clock went from {last_us} to {us} us");
+            last_us = us;
+        }
+        account.slept(now, now.wrapping_add(PER_MS));
+        (last_us, account.activity(now.wrapping_add(PER_MS)))
+    }
+
+    #[test]
+    fn the_clock_never_steps_back() {
+        // Microseconds, for 100 days: the sum of milliseconds passes 32 bits after 49 of them.
+        let (us, activity) = after::<1000>(2012);
+        assert_eq!((us, activity.total_ms, activity.asleep_ms), (2012 * u64::from(STEP), u32::MAX, 1));
+        // The 25 MHz of the emulated boards, for an hour.
+        let (us, activity) = after::<25_000>(21);
+        let ticks = 21 * u64::from(STEP);
+        assert_eq!(us, ticks / 25);
+        assert_eq!((u64::from(activity.total_ms), activity.asleep_ms), (ticks / 25_000 + 1, 1));
     }
 }

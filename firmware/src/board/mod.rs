@@ -1,9 +1,11 @@
 //! The boards: one module for each board or family of boards. `this` is the one that the program is built for.
 
-#[cfg(all(feature = "board", target_os = "none"))]
+#[cfg(any(test, all(feature = "board", target_os = "none")))]
 mod activity;
 #[cfg(all(feature = "board", target_os = "none"))]
 mod float;
+#[cfg(all(feature = "board", target_os = "none"))]
+mod guard;
 #[cfg(all(feature = "board", target_os = "none"))]
 mod masked;
 #[cfg(all(feature = "board", target_os = "none"))]

@@ -25,7 +25,13 @@ pub trait ImageSensor {
     /// What the sensor can do, while its other settings are these.
     fn limits(settings: &CameraSettings) -> CameraLimits;
 
-    /// Sets the sensor to settings from [`Self::plan`].
+    /// Longest time from the pulse that starts an exposure until it begins, us.
+    fn latency_us(settings: &CameraSettings) -> u32 {
+        let _ = settings;
+        0
+    }
+
+    /// Sets the sensor to settings from [`Self::plan`], whatever it was set to.
     ///
     /// # Errors
     /// Those of its bus.

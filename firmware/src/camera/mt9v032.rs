@@ -96,8 +96,7 @@ pub struct Mt9v032<B> {
 }
 
 impl<B: I2c> Mt9v032<B> {
-    /// Resets the sensor, checks its version, and disables everything that changes frames by itself: automatic
-    /// exposure, automatic gain, and the correction of row noise, which the calibration measures.
+    /// Checks the version of the sensor and resets it. Its settings are those of [`ImageSensor::apply`].
     ///
     /// # Errors
     /// [`SensorError::Bus`] where the bus failed, [`SensorError::Version`] where another chip responds.
@@ -107,15 +106,7 @@ impl<B: I2c> Mt9v032<B> {
         if found != CHIP_VERSION && found != CHIP_VERSION_1 {
             return Err(SensorError::Version { found });
         }
-        let registers = [
-            (register::RESET, 1),
-            (register::RESET, 0),
-            (register::CHIP_CONTROL, 0),
-            (register::AUTOMATIC, 0),
-            (register::ROW_NOISE_CORRECTION, 0),
-            (register::VERTICAL_BLANKING, VERTICAL_BLANKING),
-        ];
-        sensor.write_all(&registers)?;
+        sensor.write_all(&[(register::RESET, 1), (register::RESET, 0)])?;
         Ok(sensor)
     }
 
@@ -201,12 +192,23 @@ impl<B: I2c> ImageSensor for Mt9v032<B> {
         }
     }
 
+    /// An exposure begins with a row, up to two rows after the pulse. A microsecond more is for the pulse itself.
+    fn latency_us(settings: &CameraSettings) -> u32 {
+        (2 * row_clocks(settings.region)).div_ceil(CLOCK_MHZ) + 1
+    }
+
+    /// Writes every register that differs from what it is after a reset, so that a sensor that was without power for a
+    /// moment is as it was. What changes frames by itself is off: automatic exposure, automatic gain, and the correction
+    /// of row noise, which the calibration measures.
     fn apply(&mut self, settings: &CameraSettings) -> Result<(), B::Error> {
         let SensorRegion { row, col, rows, cols, bin } = settings.region;
         let (rows, cols, log2) = (rows * bin, cols * bin, bin.trailing_zeros() as u16);
         let exposure = exposure(settings.region, settings.interval_us).count(settings.exposure_us);
         self.write_all(&[
             (register::CHIP_CONTROL, 0),
+            (register::AUTOMATIC, 0),
+            (register::ROW_NOISE_CORRECTION, 0),
+            (register::VERTICAL_BLANKING, VERTICAL_BLANKING),
             (register::READ_MODE, READ_MODE | log2 << 2 | log2),
             (register::COLUMN_START, FIRST[1] + col),
             (register::ROW_START, FIRST[0] + row),
@@ -243,12 +245,11 @@ mod tests {
 
     /// The transactions of [`Mt9v032::new`].
     fn opening() -> Vec<Transaction> {
-        let registers = [(0x0c, 1), (0x0c, 0), (0x07, 0), (0xaf, 0), (0x70, 0), (0x06, 45)];
-        [vec![version(CHIP_VERSION)], writes(&registers)].concat()
+        [vec![version(CHIP_VERSION)], writes(&[(0x0c, 1), (0x0c, 0)])].concat()
     }
 
     #[test]
-    fn the_sensor_is_reset_and_left_without_automatics() {
+    fn the_sensor_is_reset() {
         let mut bus = Mock::new(&opening());
         Mt9v032::new(&mut bus).unwrap();
         bus.done();
@@ -273,6 +274,9 @@ mod tests {
         // 351 of 5 to 484, columns 270 to 483 of 1 to 752; 214 + 446 = 660 clocks.
         let plain = [
             (7, 0),
+            (0xaf, 0),
+            (0x70, 0),
+            (6, 45),
             (0x0d, 0x300),
             (1, 270),
             (2, 138),
@@ -286,6 +290,9 @@ mod tests {
         // 428 of them, averaged by twos: 428 + 232 = 660 clocks.
         let binned = [
             (7, 0),
+            (0xaf, 0),
+            (0x70, 0),
+            (6, 45),
             (0x0d, 0x305),
             (1, 163),
             (2, 31),
@@ -297,8 +304,21 @@ mod tests {
             (7, 0x198),
         ];
         // All columns: 752 and the least blanking, 795 clocks, 33.1 us: 302 rows.
-        let wide =
-            [(7, 0), (0x0d, 0x300), (1, 1), (2, 5), (4, 752), (3, 480), (5, 43), (0x0b, 302), (0x35, 16), (7, 0x198)];
+        let wide = [
+            (7, 0),
+            (0xaf, 0),
+            (0x70, 0),
+            (6, 45),
+            (0x0d, 0x300),
+            (1, 1),
+            (2, 5),
+            (4, 752),
+            (3, 480),
+            (5, 43),
+            (0x0b, 302),
+            (0x35, 16),
+            (7, 0x198),
+        ];
         let mut bus = Mock::new(&[opening(), writes(&plain), writes(&binned), writes(&wide)].concat());
         let mut sensor = Mt9v032::new(&mut bus).unwrap();
         for (rows, cols, bin) in [(214, 214, 1), (214, 214, 2), (480, 752, 1)] {
@@ -318,6 +338,12 @@ mod tests {
         let limits = Sensor::limits(&set);
         assert_eq!((limits.exposure_us.least, limits.exposure_us.most), (28, 36_988));
         assert_eq!((limits.interval_us.least, limits.interval_us.most), (13_035, 1_000_000));
+    }
+
+    #[test]
+    fn an_exposure_may_begin_two_rows_after_its_pulse() {
+        // Rows of 27.5 us, and of 795 clocks.
+        assert_eq!([settings(214, 214, 1), settings(480, 752, 1)].map(|s| Sensor::latency_us(&s)), [56, 68]);
     }
 
     #[test]

@@ -68,13 +68,18 @@ pub trait Camera {
     /// # Errors
     /// The setting that the sensor cannot have, and its limits.
     fn plan(&self, wanted: CameraSettings) -> Result<CameraSettings, SettingError>;
-    /// Sets the sensor to settings from [`Self::plan`].
+    /// Sets the sensor to settings from [`Self::plan`], whatever it was set to. Where that fails [`Self::settings`] are
+    /// those before.
     ///
     /// # Errors
     /// [`IoError::Failed`] where the sensor does not respond.
     fn apply(&mut self, settings: CameraSettings) -> Result<(), IoError>;
     /// Clock, microseconds since the start.
     fn now_us(&self) -> u64;
+    /// Longest time from [`Self::expose`] until the sensor really begins, us. The LED stays on that much longer.
+    fn latency_us(&self) -> u32 {
+        0
+    }
     /// Sets the excitation LED to `permille` thousandths of the full current; dark at 0.
     fn light(&mut self, permille: u16);
     /// Whether a pulse has come to the trigger input since the last call.
@@ -89,6 +94,8 @@ pub trait Camera {
     /// # Errors
     /// [`IoError::Failed`] where the transfer from the sensor failed.
     fn ready(&mut self) -> Result<bool, IoError>;
+    /// The frame that was to be exposed is not waited for any more: nothing writes to the memory of frames from now on.
+    fn abandon(&mut self);
     /// Called again and again during waits.
     fn pause(&self) {
         core::hint::spin_loop();

@@ -190,7 +190,8 @@ impl<'m, F: MappedFlash, S: FrameSource, K: FrameSink, M: Monitor> Device<'m, F,
     }
 
     fn begin_frame(&mut self, len: u32) -> Result<(), Refusal> {
-        if core::mem::replace(&mut self.frame_waits, true) {
+        // The same length again before any byte is a request whose answer the line has lost.
+        if core::mem::replace(&mut self.frame_waits, true) && !self.frame.has_just_begun(len) {
             self.telemetry.dropped_frames = self.telemetry.dropped_frames.wrapping_add(1);
         }
         self.last_run = None;

@@ -15,6 +15,9 @@ mod steps;
 mod upload;
 mod virtual_camera;
 
+#[cfg(test)]
+mod tests;
+
 pub use interlock::Interlock;
 pub use io::{Camera, Footprint, FrameSink, FrameSource, IoError, Monitor, RamFrame, RamObject, Silent, Watchdog};
 pub use machine::{Arenas, Device};

@@ -4,7 +4,7 @@ use super::io::{FrameSink, FrameSource, Monitor};
 use super::machine::Device;
 use crate::flash::MappedFlash;
 use crate::wire::frame::decode;
-use crate::wire::{Deframer, MAX_PACKET, Packet, Request, encode};
+use crate::wire::{Deframer, MAX_PACKET, Packet, Refusal, Reply, Request, encode};
 use embedded_io::{Read, Write};
 
 /// Why [`serve`] returned.
@@ -37,7 +37,7 @@ pub enum Step<'a> {
 }
 
 impl Line {
-    /// A line on which nothing was sent yet.
+    /// A line on which nothing was sent yet: the device waits to be greeted.
     pub const fn new() -> Self {
         Self { deframer: Deframer::new(), out: [0; MAX_PACKET], last: None }
     }
@@ -61,8 +61,13 @@ impl Line {
             }
         };
         if !matches!(body, Request::Hello { .. }) {
+            // A host that has not greeted this program spoke with the one before a restart, and must know of it.
+            let Some(last) = self.last else {
+                let body = Reply::Refused(Refusal::NoHello);
+                return encode(&Packet { seq, body }, &mut self.out).map_or(Step::Nothing, Step::Answer);
+            };
             // The half of the numbers behind the last one are late copies of requests that were answered.
-            let ahead = self.last.map_or(1, |last| seq.wrapping_sub(last));
+            let ahead = seq.wrapping_sub(last);
             if ahead == 0 {
                 device.count_repeated();
             } else if ahead > u16::MAX / 2 {

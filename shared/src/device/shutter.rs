@@ -6,7 +6,7 @@
 
 use super::io::{Camera, IoError};
 use super::refuse::saturated;
-use crate::wire::{CameraChange, CameraStatus, Capture, Refusal, Transfer, Trigger};
+use crate::wire::{CameraChange, CameraSettings, CameraStatus, Capture, Refusal, Transfer, Trigger};
 use heapless::String;
 
 /// Longest wait for the pixels after an exposure, us.
@@ -25,6 +25,9 @@ pub(super) struct Shutter {
     next: u32,
     frames: u32,
     failed_frames: u32,
+    /// The sensor may have other settings than those in force: it did not take them, or did not deliver a frame. Maybe it
+    /// was without power for a moment.
+    stale: bool,
     lit_us: u64,
     /// Since when the LED is lit.
     lit_since_us: Option<u64>,
@@ -45,8 +48,8 @@ impl Shutter {
                 return Err(Refusal::NoRoom { what: Transfer::Frame, needed, available });
             }
             let settings = camera.plan(wanted).map_err(Refusal::Setting)?;
-            if settings != camera.settings() {
-                camera.apply(settings).map_err(|_| Refusal::NoCamera)?;
+            if settings != camera.settings() || self.stale {
+                self.apply(camera, settings).map_err(|_| Refusal::NoCamera)?;
                 (self.origin_us, self.first) = (camera.now_us(), self.next);
             }
         }
@@ -65,10 +68,21 @@ impl Shutter {
         })
     }
 
+    /// Sets the sensor. Where that fails it may be half set.
+    fn apply(&mut self, camera: &mut dyn Camera, settings: CameraSettings) -> Result<(), IoError> {
+        self.stale = true;
+        camera.apply(settings)?;
+        self.stale = false;
+        Ok(())
+    }
+
     /// Waits for the next place in the grid, or for a pulse, exposes a frame and waits until it is in memory. `alive`
     /// is called during waits.
     pub fn take(&mut self, camera: &mut dyn Camera, alive: &mut dyn FnMut()) -> Result<Capture, Refusal> {
         let settings = camera.settings();
+        if self.stale && self.apply(camera, settings).is_err() {
+            return Err(self.fails(camera, camera.now_us()));
+        }
         let number = match settings.trigger {
             Trigger::Device => self.wait_for_place(camera, settings.interval_us, alive),
             Trigger::Input => {
@@ -76,7 +90,7 @@ impl Shutter {
                 camera.triggered();
                 let began = camera.now_us();
                 while !camera.triggered() {
-                    let waited = camera.now_us().saturating_sub(began);
+                    let waited = since(camera, began);
                     if waited > TRIGGER_US {
                         return Err(Refusal::NoTrigger { waited_ms: ms(waited) });
                     }
@@ -87,7 +101,6 @@ impl Shutter {
             }
         };
         self.next = number.wrapping_add(1);
-        self.frames = self.frames.wrapping_add(1);
         self.light(camera, settings.led_permille);
         let start_us = camera.now_us();
         let taken = match camera.expose() {
@@ -96,46 +109,66 @@ impl Shutter {
         };
         self.light(camera, 0);
         match taken {
-            Ok(()) => Ok(Capture { number, start_us, settings }),
+            Ok(()) => {
+                self.frames = self.frames.wrapping_add(1);
+                Ok(Capture { number, start_us, settings })
+            }
             Err(_) => {
-                self.failed_frames = self.failed_frames.wrapping_add(1);
-                Err(Refusal::NoFrame { waited_ms: ms(camera.now_us().saturating_sub(start_us)) })
+                camera.abandon();
+                Err(self.fails(camera, start_us))
             }
         }
     }
 
-    /// Waits for the first place in the grid that is not over, and returns its number.
-    fn wait_for_place(&self, camera: &dyn Camera, interval_us: u32, alive: &mut dyn FnMut()) -> u32 {
+    /// Counts a frame that the sensor does not deliver. It is set again before the next one.
+    fn fails(&mut self, camera: &dyn Camera, start_us: u64) -> Refusal {
+        self.stale = true;
+        self.frames = self.frames.wrapping_add(1);
+        self.failed_frames = self.failed_frames.wrapping_add(1);
+        Refusal::NoFrame { waited_ms: ms(since(camera, start_us)) }
+    }
+
+    /// Waits for the first place in the grid that is not over, and returns its number. That is one interval away at most
+    /// unless the clock has stepped back: then a new grid begins.
+    fn wait_for_place(&mut self, camera: &dyn Camera, interval_us: u32, alive: &mut dyn FnMut()) -> u32 {
         let interval = u64::from(interval_us.max(1));
-        let passed = camera.now_us().saturating_sub(self.origin_us);
+        let passed = since(camera, self.origin_us);
         let place = passed.div_ceil(interval).max(self.next.wrapping_sub(self.first).into());
         let due = self.origin_us.saturating_add(place.saturating_mul(interval));
-        while camera.now_us() < due {
+        loop {
+            let now = camera.now_us();
+            if now >= due {
+                return self.first.wrapping_add(place as u32);
+            }
+            if due - now > interval {
+                (self.origin_us, self.first) = (now, self.next);
+                return self.next;
+            }
             alive();
             camera.pause();
         }
-        self.first.wrapping_add(place as u32)
     }
 
-    /// Waits until the frame is in memory. The LED is lit until the exposure ends.
+    /// Waits until the frame is in memory. The LED is lit until the exposure has ended, whenever it began.
     fn wait_for_pixels(
         &mut self,
         camera: &mut dyn Camera,
         start_us: u64,
         alive: &mut dyn FnMut(),
     ) -> Result<(), IoError> {
-        let exposure_us = u64::from(camera.settings().exposure_us);
+        // The sensor may begin late, and the last part of the exposure needs light as well.
+        let lit_us = u64::from(camera.settings().exposure_us) + u64::from(camera.latency_us());
         let mut lit = true;
         loop {
             if camera.ready()? {
                 return Ok(());
             }
-            let passed = camera.now_us().saturating_sub(start_us);
-            if lit && passed >= exposure_us {
+            let passed = since(camera, start_us);
+            if lit && passed >= lit_us {
                 self.light(camera, 0);
                 lit = false;
             }
-            if passed > exposure_us + READOUT_US {
+            if passed > lit_us + READOUT_US {
                 return Err(IoError::Failed);
             }
             alive();
@@ -152,6 +185,12 @@ impl Shutter {
         }
         self.lit_since_us = (permille > 0).then_some(now);
     }
+}
+
+/// Time since `start_us`. A clock before it has stepped back; any wait is over then, for the watchdog is fed during waits
+/// and would not end it.
+fn since(camera: &dyn Camera, start_us: u64) -> u64 {
+    camera.now_us().checked_sub(start_us).unwrap_or(u64::MAX)
 }
 
 fn ms(us: u64) -> u32 {

@@ -27,10 +27,16 @@ struct Fake {
     began: Option<u64>,
     pulses_us: Option<u64>,
     pulse: u64,
+    /// The clock steps back to 0 at the end of this many pauses.
+    reset_after: Cell<u32>,
+    /// Longest time until an exposure begins, and the time until this one begins, us.
+    latency_us: [u32; 2],
     /// No frame comes.
     silent: bool,
     /// The sensor does not respond.
     deaf: bool,
+    /// What the sensor is really set to; `None` where it is half set, or has lost it.
+    set: Option<CameraSettings>,
 }
 
 impl Fake {
@@ -45,7 +51,21 @@ impl Fake {
         };
         let now = Cell::new(1_000_000);
         let (led, lit) = ((0, 0), Vec::new());
-        Self { now, settings, led, lit, began: None, pulses_us: None, pulse: 0, silent: false, deaf: false }
+        let (began, pulses_us, pulse, reset_after, latency_us) = (None, None, 0, Cell::new(0), [0; 2]);
+        Self {
+            now,
+            settings,
+            led,
+            lit,
+            began,
+            pulses_us,
+            pulse,
+            reset_after,
+            latency_us,
+            silent: false,
+            deaf: false,
+            set: Some(settings),
+        }
     }
 
     fn sleep(&self, us: u64) {
@@ -78,15 +98,20 @@ impl Camera for Fake {
     }
 
     fn apply(&mut self, settings: CameraSettings) -> Result<(), IoError> {
+        self.set = None;
         if self.deaf {
             return Err(IoError::Failed);
         }
-        self.settings = settings;
+        (self.settings, self.set) = (settings, Some(settings));
         Ok(())
     }
 
     fn now_us(&self) -> u64 {
         self.now.get()
+    }
+
+    fn latency_us(&self) -> u32 {
+        self.latency_us[0]
     }
 
     fn light(&mut self, permille: u16) {
@@ -102,7 +127,7 @@ impl Camera for Fake {
     }
 
     fn expose(&mut self) -> Result<(), IoError> {
-        self.began = Some(self.now.get());
+        self.began = Some(self.now.get() + u64::from(self.latency_us[1]));
         if self.deaf { Err(IoError::Failed) } else { Ok(()) }
     }
 
@@ -111,8 +136,20 @@ impl Camera for Fake {
         Ok(!self.silent && self.now.get() >= done)
     }
 
+    fn abandon(&mut self) {
+        self.began = None;
+    }
+
     fn pause(&self) {
         self.sleep(TICK_US);
+        match self.reset_after.get() {
+            0 => {}
+            1 => {
+                self.now.set(0);
+                self.reset_after.set(0);
+            }
+            left => self.reset_after.set(left - 1),
+        }
     }
 }
 
@@ -163,6 +200,39 @@ fn frames_that_are_not_taken_are_gaps_in_the_numbers() {
     assert_eq!(take(&mut shutter, &mut camera).unwrap().start_us - after.start_us, 50_000);
 }
 
+/// A clock that steps back costs the grid or a frame, and never an endless wait in which the watchdog is fed.
+#[test]
+fn a_clock_that_steps_back_ends_every_wait() {
+    let bounded = |shutter: &mut Shutter, camera: &mut Fake| {
+        let mut waits = 0;
+        shutter.take(camera, &mut || {
+            waits += 1;
+            assert!(waits < 1_000_000, "an endless wait");
+        })
+    };
+    let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
+    camera.sleep(1 << 40);
+    let change = CameraChange { interval_us: Some(50_000), ..CameraChange::default() };
+    shutter.change(&mut camera, change, 64).unwrap();
+    let first = bounded(&mut shutter, &mut camera).unwrap();
+    // Between two frames: the numbers go on, on a new grid.
+    camera.now.set(5);
+    let second = bounded(&mut shutter, &mut camera).unwrap();
+    assert_eq!((second.number, second.start_us), (first.number + 1, 5));
+    let third = bounded(&mut shutter, &mut camera).unwrap();
+    assert_eq!((third.number, third.start_us - 5), (second.number + 1, 50_000));
+    // While it waits for the next place, and while it waits for pixels.
+    camera.sleep(1 << 40);
+    bounded(&mut shutter, &mut camera).unwrap();
+    camera.reset_after.set(2);
+    bounded(&mut shutter, &mut camera).unwrap();
+    camera.sleep(1 << 40);
+    camera.silent = true;
+    camera.reset_after.set(5100);
+    assert!(matches!(bounded(&mut shutter, &mut camera), Err(Refusal::NoFrame { .. })));
+    assert_eq!(camera.led.0, 0);
+}
+
 #[test]
 fn the_led_is_lit_during_exposures_and_dark_without_a_host() {
     let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
@@ -186,6 +256,19 @@ fn the_led_is_lit_during_exposures_and_dark_without_a_host() {
 }
 
 #[test]
+fn the_led_is_lit_to_the_end_of_an_exposure_that_begins_late() {
+    let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
+    for late_us in [0, 20, 66] {
+        camera.latency_us = [66, late_us];
+        let start = take(&mut shutter, &mut camera).unwrap().start_us;
+        let (from, to) = camera.lit.pop().unwrap();
+        let (begins, ends) = (start + u64::from(late_us), start + u64::from(late_us) + 10_010);
+        assert!(from <= begins && to >= ends, "lit from {from} to {to} us, exposed from {begins} to {ends} us");
+        assert!(to <= start + 10_010 + 66 + TICK_US, "and no longer than that takes at most");
+    }
+}
+
+#[test]
 fn the_led_is_dark_when_frames_stop() {
     let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
     camera.silent = true;
@@ -199,6 +282,41 @@ fn the_led_is_dark_when_frames_stop() {
     take(&mut shutter, &mut camera).unwrap();
     let status = status(&mut shutter, &mut camera);
     assert_eq!((status.frames, status.failed_frames), (3, 2));
+    // Nothing comes later, into the memory of another frame.
+    for (silent, deaf) in [(true, false), (false, true)] {
+        (camera.silent, camera.deaf) = (silent, deaf);
+        take(&mut shutter, &mut camera).unwrap_err();
+        assert!(camera.began.is_none());
+    }
+}
+
+/// No frame is exposed while the sensor is half set, or may have lost its settings.
+#[test]
+fn a_sensor_that_failed_is_set_again_before_the_next_exposure() {
+    let (mut shutter, mut camera) = (Shutter::default(), Fake::new());
+    let before = camera.settings;
+    let shorter = CameraChange { exposure_us: Some(5005), ..CameraChange::default() };
+    // A change that fails: the settings before it are in force, and the sensor gets them before it exposes.
+    camera.deaf = true;
+    assert_eq!(shutter.change(&mut camera, shorter, 64), Err(Refusal::NoCamera));
+    assert!(matches!(take(&mut shutter, &mut camera), Err(Refusal::NoFrame { waited_ms: 0 })));
+    assert!(camera.lit.is_empty(), "nothing was exposed");
+    camera.deaf = false;
+    assert_eq!(take(&mut shutter, &mut camera).unwrap().settings, before);
+    assert_eq!(camera.set, Some(before));
+    // The same settings are written again where a change to them has failed.
+    let same = CameraChange { exposure_us: Some(10_010), ..CameraChange::default() };
+    camera.deaf = true;
+    assert_eq!(shutter.change(&mut camera, shorter, 64), Err(Refusal::NoCamera));
+    camera.deaf = false;
+    shutter.change(&mut camera, same, 64).unwrap();
+    assert_eq!(camera.set, Some(before));
+    // A sensor that was without power has lost its settings, and delivers no frame.
+    (camera.silent, camera.set) = (true, None);
+    take(&mut shutter, &mut camera).unwrap_err();
+    camera.silent = false;
+    take(&mut shutter, &mut camera).unwrap();
+    assert_eq!(camera.set, Some(before));
 }
 
 #[test]

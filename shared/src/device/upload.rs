@@ -21,6 +21,11 @@ impl Upload {
         *self = Self { what: self.what, len, received: 0 };
     }
 
+    /// Whether a transfer of `len` bytes has begun of which nothing has arrived.
+    pub fn has_just_begun(&self, len: u32) -> bool {
+        self.len == len && self.received == 0
+    }
+
     /// Number of leading bytes of the `len` that belong at `offset` that have arrived before and are to be skipped.
     ///
     /// # Errors

@@ -199,6 +199,10 @@ impl Camera for VirtualCamera<'_> {
         Ok(true)
     }
 
+    fn abandon(&mut self) {
+        self.began_us = None;
+    }
+
     fn pause(&self) {
         (self.clock.pause)();
     }

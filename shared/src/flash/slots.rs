@@ -80,8 +80,8 @@ impl<F: MappedFlash> Slots<F> {
         self.data(slot, mark.len as usize)
     }
 
-    /// Prepares the slot that is not active for a file of `len` bytes. Its old file is lost; the active file is not
-    /// touched.
+    /// Prepares a slot for a file of `len` bytes: the one that is not active or, where none is, the one without the
+    /// newest file. Its old file is lost; the other slot is not touched.
     ///
     /// # Errors
     /// [`IoError::NoRoom`] where it does not fit, [`IoError::Failed`] where the flash failed.
@@ -91,7 +91,10 @@ impl<F: MappedFlash> Slots<F> {
         if len > available {
             return Err(IoError::NoRoom { needed: len, available });
         }
-        let slot = self.active.map_or(Slot::A, |active| active.slot.other());
+        // After starts that ended in faults none is active, and the newest committed file is still the one to keep.
+        let [newest, _] = self.committed();
+        let kept = self.active().or(newest);
+        let slot = kept.map_or(Slot::A, |(slot, _)| slot.other());
         // Without its mark the content of the slot is no committed file any more.
         self.erase_sector(self.start(slot))?;
         if self.mark(slot).is_some() {
@@ -152,7 +155,8 @@ impl<F: MappedFlash> Slots<F> {
     /// Writes the mark of the finished file and makes it the active one, now and after the next start.
     ///
     /// # Errors
-    /// [`IoError::Failed`] where no file was finished or the flash failed.
+    /// [`IoError::Failed`] where no file was finished or neither copy of the mark could be written. The file is then not
+    /// active, now or later.
     pub fn commit(&mut self) -> Result<(), IoError> {
         let Staged { slot, len, .. } = self.staged.take().ok_or(IoError::Failed)?;
         let newest = self.committed()[0].map_or(0, |(_, mark)| mark.generation);
@@ -160,9 +164,11 @@ impl<F: MappedFlash> Slots<F> {
         let mark = Mark::of(file, newest.wrapping_add(1)).ok_or(IoError::Failed)?;
         let at = self.start(slot);
         for copy in 0..2 {
-            write(&mut self.flash, at + copy * UNIT, &mark.encode())?;
+            // What a start will read decides, and not what the flash says of the step.
+            let _ = write(&mut self.flash, at + copy * UNIT, &mark.encode());
         }
         if self.mark(slot) != Some(mark) {
+            self.erase_sector(at)?;
             return Err(IoError::Failed);
         }
         self.activate(slot, mark);

@@ -8,6 +8,8 @@ extern crate std;
 use super::mapped::UNIT;
 use super::*;
 use crate::device::IoError;
+use core::ops::Range;
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashErrorKind, ReadNorFlash};
 use proptest::prelude::*;
 use std::vec;
 use std::vec::Vec;
@@ -95,6 +97,89 @@ fn one_flipped_bit_of_a_mark_costs_nothing_and_one_of_a_file_costs_the_file() {
         memory[mark + RAM_SECTOR + bit / 8] ^= 1 << (bit % 8);
         assert_eq!(found(&mut memory), Some((Slot::A, 1, vec![1; 500])), "bit {bit}");
         memory[mark + RAM_SECTOR + bit / 8] ^= 1 << (bit % 8);
+    }
+}
+
+/// As after starts that ended in faults.
+#[test]
+fn where_no_slot_is_active_the_newest_file_is_kept() {
+    let mut memory = vec![0; FLASH];
+    for byte in 1..5 {
+        let newest = found(&mut memory);
+        let mut slots = Slots::new(RamFlash::new(&mut memory));
+        // Begun and not committed: what was newest is found again.
+        fill(&mut slots, &[0; 500], 100).unwrap();
+        assert_eq!(found(&mut memory), newest);
+        let mut slots = Slots::new(RamFlash::new(&mut memory));
+        fill(&mut slots, &[byte; 500], 100).unwrap();
+        slots.commit().unwrap();
+        let slot = Slot::ALL[usize::from(byte + 1) % 2];
+        assert_eq!(found(&mut memory), Some((slot, byte.into(), vec![byte; 500])));
+    }
+}
+
+/// Memory whose writes report errors, from the n-th on; `keeps`: although they are done.
+struct Reporting<'m> {
+    flash: RamFlash<'m>,
+    writes_left: u32,
+    keeps: bool,
+}
+
+impl ErrorType for Reporting<'_> {
+    type Error = NorFlashErrorKind;
+}
+
+impl ReadNorFlash for Reporting<'_> {
+    const READ_SIZE: usize = 1;
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), NorFlashErrorKind> {
+        self.flash.read(offset, bytes)
+    }
+
+    fn capacity(&self) -> usize {
+        self.flash.capacity()
+    }
+}
+
+impl NorFlash for Reporting<'_> {
+    const WRITE_SIZE: usize = RamFlash::WRITE_SIZE;
+    const ERASE_SIZE: usize = RamFlash::ERASE_SIZE;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), NorFlashErrorKind> {
+        self.flash.erase(from, to)
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), NorFlashErrorKind> {
+        let fails = self.writes_left == 0;
+        self.writes_left = self.writes_left.saturating_sub(1);
+        if !fails || self.keeps {
+            self.flash.write(offset, bytes)?;
+        }
+        if fails { Err(NorFlashErrorKind::Other) } else { Ok(()) }
+    }
+}
+
+impl MappedFlash for Reporting<'_> {
+    fn view(&self, range: Range<usize>) -> Option<&[u8]> {
+        self.flash.view(range)
+    }
+}
+
+#[test]
+fn a_commit_that_is_refused_stays_refused_and_one_that_is_not_is_found() {
+    // The file is whole: the writes that report errors are those of both copies of its mark, or of the second one.
+    let file = [1; 500];
+    for (copies, keeps) in [(0, false), (0, true), (1, false), (1, true)] {
+        let mut memory = vec![0; FLASH];
+        let flash = RamFlash::new(&mut memory);
+        let writes_left = file.len().div_ceil(UNIT) as u32 + copies;
+        let mut slots = Slots::new(Reporting { flash, writes_left, keeps });
+        slots.begin(file.len()).unwrap();
+        slots.write(0, &file).unwrap();
+        slots.finish().unwrap();
+        let committed = slots.commit().is_ok();
+        assert_eq!(committed, copies > 0 || keeps, "one copy of the mark is enough");
+        assert_eq!(found(&mut memory).is_some(), committed, "{copies} {keeps}");
     }
 }
 

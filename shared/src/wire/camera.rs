@@ -80,6 +80,20 @@ pub struct CameraChange {
 }
 
 impl CameraChange {
+    /// The change that gives these settings, whatever they are now.
+    pub const fn to(settings: CameraSettings) -> Self {
+        let CameraSettings { exposure_us, analog_gain_thousandths, interval_us, led_permille, region, trigger } =
+            settings;
+        Self {
+            exposure_us: Some(exposure_us),
+            analog_gain_thousandths: Some(analog_gain_thousandths),
+            interval_us: Some(interval_us),
+            led_permille: Some(led_permille),
+            region: Some(region),
+            trigger: Some(trigger),
+        }
+    }
+
     /// The settings `now`, changed.
     pub fn of(self, now: CameraSettings) -> CameraSettings {
         CameraSettings {
@@ -128,7 +142,7 @@ pub struct CameraStatus {
     pub limits: CameraLimits,
     /// Clock of the device, us since its start.
     pub now_us: u64,
-    /// Frames that were exposed since the start.
+    /// Frames that the sensor was to expose since the start.
     pub frames: u32,
     /// Of these, frames that the sensor did not deliver.
     pub failed_frames: u32,

@@ -35,7 +35,8 @@ pub struct Packet<T> {
 /// A request of the host.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Schema)]
 pub enum Request<'a> {
-    /// Begins a conversation, whose first sequence number is that of this packet. The device answers with [`Info`].
+    /// Begins a conversation, whose first sequence number is that of this packet. The device answers with [`Info`]. It
+    /// refuses everything else until it was greeted once ([`Refusal::NoHello`]).
     Hello {
         /// [`VERSION`] of the host.
         version: u16,

@@ -107,6 +107,9 @@ pub enum Refusal {
     },
     /// The flash, a buffer or the camera of the device failed.
     Storage,
+    /// The device has started anew since the host greeted it: its camera has other settings, and transfers are lost. It
+    /// waits for [`Request::Hello`](super::Request::Hello).
+    NoHello,
 }
 
 impl fmt::Display for Refusal {
@@ -160,6 +163,9 @@ impl fmt::Display for Refusal {
                 write!(f, "no pulse came to its trigger input within {waited_ms} ms; the LED is dark")
             }
             Self::Storage => f.write_str("its flash, a buffer or its camera failed"),
+            Self::NoHello => {
+                f.write_str("it was restarted; settings of its camera and what was being sent are lost; start again")
+            }
         }
     }
 }

@@ -2,6 +2,7 @@
 #![allow(unsafe_code)] // registers
 
 use super::memory::dma_range;
+use crate::board::guard::ON_WITH_DEFAULT_MAP;
 use core::ops::Range;
 use cortex_m::Peripherals;
 use cortex_m::asm::{dsb, isb};
@@ -11,8 +12,8 @@ const REGION_LOG2: u32 = 19;
 /// Attributes of the region (Arm DDI 0403, B3.5.9): not executable, all may read and write, normal memory that is
 /// shared and not cached.
 const UNCACHED: u32 = 1 << 28 | 0b011 << 24 | 0b001 << 19 | 1 << 18;
-/// The protection unit is on; elsewhere the default map of the core holds.
-const ON_WITH_DEFAULT_MAP: u32 = 1 << 2 | 1;
+/// Number of the region.
+const REGION: u32 = 0;
 
 /// Turns both caches on. The memory that DMA writes is not cached.
 pub(super) fn enable(core: &mut Peripherals) {
@@ -20,7 +21,7 @@ pub(super) fn enable(core: &mut Peripherals) {
     // SAFETY: nothing uses the region yet, and its attributes change only how it is reached.
     unsafe {
         core.MPU.ctrl.write(0);
-        core.MPU.rnr.write(0);
+        core.MPU.rnr.write(REGION);
         core.MPU.rbar.write(base);
         core.MPU.rasr.write(UNCACHED | (REGION_LOG2 - 1) << 1 | 1);
         core.MPU.ctrl.write(ON_WITH_DEFAULT_MAP);

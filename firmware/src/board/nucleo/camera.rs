@@ -1,6 +1,7 @@
 //! The MT9V032 on the DCMI (ST RM0433, chapter 32). The device starts each exposure by a pulse; DMA brings the frame.
 #![allow(unsafe_code)] // memory that DMA writes
 
+use super::bus::Bus;
 use super::{clock, light};
 use crate::camera::mt9v032::ARRAY;
 use crate::camera::{ImageSensor, Mt9v032};
@@ -8,8 +9,6 @@ use core::slice;
 use core::sync::atomic::{Ordering, fence};
 use embassy_stm32::dcmi::{self, Dcmi};
 use embassy_stm32::gpio::{Input, Level, Output, Pull, Speed};
-use embassy_stm32::i2c::{Config as I2cConfig, I2c, Master};
-use embassy_stm32::mode::Blocking;
 use embassy_stm32::pac::dma::vals::{Dir, Size};
 use embassy_stm32::pac::{self, DMA1, DMAMUX1};
 use embassy_stm32::peripherals as p;
@@ -22,6 +21,8 @@ bind_interrupts!(struct Interrupts {
     DCMI => dcmi::InterruptHandler<p::DCMI>;
     DMA1_STREAM0 => dma::InterruptHandler<p::DMA1_CH0>;
 });
+
+type Sensor = Mt9v032<Bus>;
 
 /// The frame after the start: half the resolution, in the middle of the array.
 const REGION: SensorRegion = SensorRegion { row: 0, col: 0, rows: 214, cols: 214, bin: 2 }.centred(ARRAY[0], ARRAY[1]);
@@ -83,7 +84,7 @@ pub struct Camera {
     _dcmi: Dcmi<'static, p::DCMI>,
     _clock: Mco<'static, p::MCO1>,
     /// `None` where no sensor answered: frames come from the host.
-    sensor: Option<Mt9v032<I2c<'static, Blocking, Master>>>,
+    sensor: Option<Sensor>,
     settings: CameraSettings,
     /// To the pin EXPOSURE of the sensor.
     expose: Output<'static>,
@@ -125,9 +126,9 @@ impl Camera {
             pins.pixclk,
             config,
         );
-        let bus = I2c::new_blocking(pins.i2c, pins.scl, pins.sda, I2cConfig::default());
         let mut settings = SETTINGS;
-        let sensor = Mt9v032::new(bus).ok().and_then(|mut sensor| {
+        let sensor = Bus::new(pins.i2c, pins.scl, pins.sda).and_then(|bus| {
+            let mut sensor = Sensor::new(bus).ok()?;
             settings = planned(SETTINGS).ok()?;
             sensor.apply(&settings).ok()?;
             Some(sensor)
@@ -191,7 +192,7 @@ impl Camera {
 
 /// The nearest settings that sensor and board have.
 fn planned(wanted: CameraSettings) -> Result<CameraSettings, SettingError> {
-    let settings = Mt9v032::<I2c<'static, Blocking, Master>>::plan(wanted)?;
+    let settings = Sensor::plan(wanted)?;
     let led_permille = LED.nearest(wanted.led_permille.into())? as u16;
     Ok(CameraSettings { led_permille, ..settings })
 }
@@ -243,7 +244,7 @@ impl FrameSource for Camera {
 
 impl ImageCamera for Camera {
     fn sensor(&self) -> &'static str {
-        Mt9v032::<I2c<'static, Blocking, Master>>::NAME
+        Sensor::NAME
     }
 
     fn settings(&self) -> CameraSettings {
@@ -251,7 +252,7 @@ impl ImageCamera for Camera {
     }
 
     fn limits(&self) -> CameraLimits {
-        Mt9v032::<I2c<'static, Blocking, Master>>::limits(&self.settings)
+        Sensor::limits(&self.settings)
     }
 
     fn plan(&self, wanted: CameraSettings) -> Result<CameraSettings, SettingError> {
@@ -267,6 +268,10 @@ impl ImageCamera for Camera {
 
     fn now_us(&self) -> u64 {
         clock::now_us()
+    }
+
+    fn latency_us(&self) -> u32 {
+        Sensor::latency_us(&self.settings)
     }
 
     fn light(&mut self, permille: u16) {
@@ -300,5 +305,9 @@ impl ImageCamera for Camera {
         fence(Ordering::SeqCst);
         self.pixels = self.settings.region.pixels();
         Ok(true)
+    }
+
+    fn abandon(&mut self) {
+        stop();
     }
 }

@@ -51,17 +51,49 @@ impl NorFlash for InternalFlash {
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), Error> {
         let (from, to) = (self.offset(from)?, self.offset(to)?);
-        let done = self.0.blocking_erase(from, to);
+        clear_flags();
+        let done = outcome(self.0.blocking_erase(from, to));
         cache::forget(FLASH_BASE + from as usize..FLASH_BASE + to as usize);
         done
     }
 
     fn write(&mut self, at: u32, bytes: &[u8]) -> Result<(), Error> {
         let at = self.offset(at)?;
-        let done = self.0.blocking_write(at, bytes);
+        clear_flags();
+        let done = outcome(self.0.blocking_write(at, bytes));
         cache::forget(FLASH_BASE + at as usize..FLASH_BASE + at as usize + bytes.len());
         done
     }
+}
+
+/// Clears the flags of both banks. They stay until they are cleared, through CCR (ST RM0433, section 4.9.6): the driver
+/// takes each of them for an error of its step, one bit that was corrected in a read long ago included.
+fn clear_flags() {
+    for bank in [0, 1] {
+        pac::FLASH.bank(bank).ccr().write(|w| {
+            w.set_clr_eop(true);
+            w.set_clr_wrperr(true);
+            w.set_clr_pgserr(true);
+            w.set_clr_strberr(true);
+            w.set_clr_incerr(true);
+            w.set_clr_operr(true);
+            w.set_clr_rdperr(true);
+            w.set_clr_rdserr(true);
+            w.set_clr_sneccerr(true);
+            w.set_clr_dbeccerr(true);
+            w.set_clr_crcrderr(true);
+        });
+    }
+}
+
+/// The outcome of a step. A bit that was corrected meanwhile, anywhere in the bank, is no error of a step that was
+/// finished: no byte of it waits in the buffer.
+fn outcome(done: Result<(), Error>) -> Result<(), Error> {
+    let finished = [0, 1].into_iter().all(|bank| {
+        let status = pac::FLASH.bank(bank).sr().read();
+        !(status.operr() || status.dbeccerr() || status.wbne())
+    });
+    if finished && done == Err(Error::Prog) { Ok(()) } else { done }
 }
 
 impl MappedFlash for InternalFlash {

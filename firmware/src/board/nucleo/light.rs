@@ -11,8 +11,9 @@ use embassy_stm32::{Peri, gpio};
 use ommatidia_shared::device::Interlock;
 
 /// Time that the level may stay on after an exposure, us. The sensor starts an exposure up to a row or two after the
-/// pulse.
-const AFTER_US: u32 = 10_000;
+/// pulse. The next tick sets it to 0, so that it is 0 after twice that time.
+const AFTER_US: u32 = 5_000;
+const _: () = assert!(AFTER_US + clock::TICK_US <= 10_000, "docs/boards.md says 10 ms");
 /// Output 2 of the converter.
 const OUTPUT: usize = 1;
 

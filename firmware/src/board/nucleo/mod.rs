@@ -17,6 +17,7 @@
 //!
 //! The data cache is on, but for the memory that DMA writes; after the flash has changed its lines are dropped.
 
+mod bus;
 mod cache;
 mod camera;
 mod clock;
@@ -62,6 +63,9 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
         return None;
     }
     let start = start();
+    // Whatever does not answer from here on, a clock or a sensor, the board starts again.
+    let mut watchdog = Dog(());
+    watchdog.start();
     if !float::set_mode() {
         fail(&"the floating-point unit does not round as IEEE 754 says");
     }
@@ -72,9 +76,8 @@ pub fn take() -> Option<Parts<'static, Link, Trigger, InternalFlash, Dog, Camera
     cache::enable(&mut core);
     core.DCB.enable_trace();
     core.DWT.enable_cycle_counter();
-    clock::begin(core.SYST, revision.mhz() / 2);
+    clock::begin(core.SYST, revision.mhz());
     log::chip(revision.name(), revision.mhz());
-    let watchdog = Dog(());
     light::begin(p.PA5);
     let camera = Camera::new(
         camera::Pins {
@@ -188,8 +191,7 @@ pub fn exit() -> ! {
 /// Cycles before a program that has failed is started again: some seconds, in which the probe can take control.
 const PAUSE: u32 = 1_000_000_000;
 
-/// Reports the reason to the probe, and starts the program again after a pause. The watchdog may not run yet, so the
-/// program resets the board itself.
+/// Reports the reason to the probe, and starts the program again after a pause.
 pub fn fail(reason: &dyn core::fmt::Display) -> ! {
     light::fail();
     #[cfg(feature = "probe")]

@@ -3,7 +3,7 @@
 use ommatidia_network::network_file::NetworkFileError;
 use ommatidia_session::remedy;
 use ommatidia_shared::pipeline::PipelineError;
-use ommatidia_shared::wire::{Refusal, SlotReport};
+use ommatidia_shared::wire::{CameraSettings, Refusal, SlotReport};
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
@@ -95,6 +95,16 @@ pub enum DeviceError {
         cols: u16,
         /// Rows and columns of the network's frames.
         network: [u16; 2],
+    },
+    /// The camera has other settings than those in force when the stream began.
+    #[error(
+        "the settings of the camera have changed during the stream: {found:?} in place of {expected:?}; start again"
+    )]
+    OtherSettings {
+        /// Settings at the start.
+        expected: CameraSettings,
+        /// Settings now.
+        found: CameraSettings,
     },
     /// No pulse has come to the trigger input of the board.
     #[error(

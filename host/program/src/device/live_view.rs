@@ -146,7 +146,17 @@ mod tests {
         };
         let object = [0.0, 0.25, 0.5, 0.0, 0.0, 0.0].map(f16::from_f32).to_vec();
         let (at, field_frame) = (Duration::ZERO, 3);
-        let frame = StreamedFrame { frame: 7, at, dropped_before: 2, dropped: 3, field_frame, report, object };
+        let frame = StreamedFrame {
+            frame: 7,
+            at,
+            dropped_before: 2,
+            dropped: 3,
+            missed_before: 0,
+            restarted_before: false,
+            field_frame,
+            report,
+            object,
+        };
         view.show(&frame);
         let text = |path| String::from_utf8_lossy(&get(address, path)).into_owned();
         for (path, words) in

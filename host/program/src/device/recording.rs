@@ -54,7 +54,7 @@ impl StreamRecording {
     pub const START: &'static str = "page,frame,time_s,dropped_before,saturated_px,field_frame";
     /// The rest of that line: how the camera of the device took the frame. Without a camera these fields are empty.
     const CAMERA: &'static str = "camera_frame,missed_before,exposure_start_s,exposure_s,analog_gain,led,interval_s,\
-                                  trigger,row,col,rows,cols,bin";
+                                  trigger,row,col,rows,cols,bin,restarted_before";
 
     /// The table that belongs to a recording: the same name with suffix .csv.
     pub fn table_path(recording: &Path) -> PathBuf {
@@ -87,23 +87,24 @@ impl StreamRecording {
     /// # Errors
     /// A file cannot be written. Earlier pages stay.
     pub fn push(&mut self, frame: &StreamedFrame) -> anyhow::Result<()> {
-        let StreamedFrame { report, dropped_before, .. } = frame;
+        let StreamedFrame { report, dropped_before, restarted_before, .. } = frame;
         let capture = report.capture;
         let since_last = capture.zip(self.last);
-        let missed = since_last.map_or(0, |(now, last)| now.number.wrapping_sub(last.number).saturating_sub(1));
         let step_s = since_last.map(|(now, last)| now.start_us.saturating_sub(last.start_us) as f64 / 1e6);
         self.last = capture;
         let uneven =
             self.interval_s().zip(step_s).is_some_and(|(interval, step)| (step / interval - 1.0).abs() > UNEVEN);
-        if self.pages > 0 && (*dropped_before > 0 || uneven) {
+        if self.pages > 0 && (*dropped_before > 0 || *restarted_before || uneven) {
             self.stack.forget_interval()?;
         }
         let values = frame.object.iter().map(|half| half.to_f32()).collect();
         let shape = (report.region.rows.into(), report.region.cols.into());
         self.stack.push(Array2::from_shape_vec(shape, values)?.view())?;
         let (page, time, saturated) = (self.pages, frame.at.as_secs_f64(), report.saturated_px);
-        let StreamedFrame { frame, field_frame, .. } = frame;
-        let camera = capture.map_or(",".repeat(Self::CAMERA.matches(',').count()), |capture| fields(&capture, missed));
+        let StreamedFrame { frame, field_frame, missed_before, restarted_before, .. } = frame;
+        let camera = capture.map_or(",".repeat(Self::CAMERA.matches(',').count()), |capture| {
+            fields(&capture, *missed_before) + if *restarted_before { ",1" } else { ",0" }
+        });
         writeln!(self.table, "{page},{frame},{time:.6},{dropped_before},{saturated},{field_frame},{camera}")
             .with_context(|| self.files.table.display().to_string())?;
         self.pages += 1;

@@ -153,21 +153,27 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
     let json = json!({
         "board": report.board, "ran_on": place.name(), "frames": came, "reconstructed": shown,
         "dropped": report.dropped, "left_out": left_out,
-        "failed_on_the_line": report.failed, "held": report.held, "seconds": seconds, "frames_per_second": rate,
+        "failed_on_the_line": report.failed, "not_delivered": report.undelivered, "restarts": report.restarts,
+        "held": report.held, "seconds": seconds, "frames_per_second": rate,
         "active_fraction": active_fraction(t),
         "device_dropped_frames": t.dropped_frames, "crc_errors": t.crc_errors, "dropped_packets": t.dropped_packets,
     });
     let text = format!(
         "board         {}\nframes        {came} arrived, {shown} reconstructed, {} dropped ({} of them lost on the \
-            line), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
+            line, {} not delivered by the sensor), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
             second\nawake         {}\n",
         place.board(&report.board),
         report.dropped,
         report.failed,
+        report.undelivered,
         super::scope::exactness(report.held, shown),
         super::status::active_text(t),
     );
     let mut outcome = Outcome { json, text };
+    if report.restarts > 0 {
+        outcome.text +=
+            &format!("restarts      {} of the device; its camera got its settings again\n", report.restarts);
+    }
     let since = |_: &_| report.moved_since.map_or("before this stream".into(), |frame| format!("frame {frame}"));
     if let Some(sentence) = watch_text(&t.watch, since) {
         outcome.text += &format!("optics        {sentence}\n");

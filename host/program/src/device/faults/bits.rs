@@ -105,6 +105,37 @@ pub(super) fn flipped_writes() -> Result<Row, DeviceError> {
     ))
 }
 
+/// Lets the flash report an error at every step of an upload, while the power stays on. What the device answers to the
+/// commit holds now and after the next start.
+pub(super) fn reported_errors() -> Result<Row, DeviceError> {
+    let (old, new) = (Network::new(1)?, Network::new(2)?);
+    let mut tally = Tally::default();
+    for ecc in [false, true] {
+        let mut device = with(&old, ecc);
+        let before = device.save();
+        device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
+        for (step, fault) in (0..device.steps).flat_map(|n| [(n, Fault::Reported(n)), (n, Fault::Failed(n))]) {
+            device.restore(&before);
+            let (runs, seen) = device.power_on(fault, step, |dut| {
+                let seen = upload(dut, new.blob.bytes()).is_err();
+                (reconstructs(dut, if seen { &old } else { &new }), seen)
+            });
+            let expected = if seen { &old } else { &new };
+            let still = device.power_on(Fault::None, 0, |dut| reconstructs(dut, expected));
+            tally.try_one(seen);
+            tally.blobs_lost += u64::from(!runs || !still);
+            let again =
+                device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes()).is_ok() && reconstructs(dut, &new));
+            tally.frames_lost += u64::from(!again);
+        }
+    }
+    Ok(tally.row(
+        "the flash reports an error, and the power stays on",
+        "every step, done or with some of its bits changed, without and with error correction; one copy of the mark is \
+         enough",
+    ))
+}
+
 /// Sends invalid networks: each is refused with its reason, and the old network keeps running.
 pub(super) fn bad_networks() -> Result<Row, DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);

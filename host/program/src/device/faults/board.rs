@@ -82,21 +82,28 @@ pub(super) fn hung(watchdogs: &[Firmware]) -> Result<Row, DeviceError> {
     Ok(tally.row("the program hangs", "once on each of the three; the watchdog of the emulated board resets it"))
 }
 
-/// Lets a program meet a fault of the bus: first where it expects one, then where it does not. After three starts that
-/// ended so the fourth finds that they keep doing it.
+/// Lets a program meet a fault of the bus: first where it expects one, then where it does not; and a stack too deep. After
+/// three starts that ended so the fourth finds that they keep doing it.
 pub(super) fn faulting(images: &[Firmware]) -> Result<Row, DeviceError> {
     let mut tally = Tally::default();
     for image in images {
         let output = run_to_end(image, None)?;
-        let expected = ["memory can be read: true", "nothing can be read: false", "start 4 by Fault", "keeps faulting"];
-        let seen = expected.iter().all(|line| output.contains(line)) && !output.contains("read 0");
+        let expected = [
+            "memory can be read: true",
+            "nothing can be read: false",
+            "start 3 by Fault",
+            "start 4 by Fault",
+            "keeps faulting",
+        ];
+        let seen = expected.iter().all(|line| output.contains(line));
+        let seen = seen && ["read 0", "depth"].iter().all(|line| !output.contains(line));
         tally.try_one(seen);
         // A board that does not start again has lost its network.
         tally.blobs_lost += u64::from(!seen);
     }
     Ok(tally.row(
-        "a word cannot be read, and the program faults",
-        "once on each of the three: a read that may fail says so, three other ones reset the board, the fourth start \
-         runs no network",
+        "a word cannot be read, or the stack is too deep, and the program faults",
+        "once on each of the three: a read that may fail says so, two other ones and a stack too deep reset the board, \
+         the fourth start runs no network",
     ))
 }

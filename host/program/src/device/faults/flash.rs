@@ -26,6 +26,10 @@ pub(super) enum Fault {
     Torn(u64),
     /// A word is written with one wrong bit, and no error is reported.
     Flip(u64),
+    /// The step reports an error although it was done, and the power stays on.
+    Reported(u64),
+    /// The step reports an error, some of its bits have changed, and the power stays on.
+    Failed(u64),
 }
 
 /// Flash with a fault.
@@ -69,7 +73,7 @@ impl<'m> FaultyFlash<'m> {
         if self.dead {
             return Err(NorFlashErrorKind::Other);
         }
-        let torn = matches!(self.fault, Fault::Torn(n) if now(n));
+        let torn = matches!(self.fault, Fault::Torn(n) | Fault::Failed(n) if now(n));
         if new.len() == SECTOR && !torn {
             // An erased word is without errors.
             self.memory[at..at + new.len()].fill(0xff);
@@ -80,12 +84,12 @@ impl<'m> FaultyFlash<'m> {
         }
         let memory = &mut self.memory[at..at + new.len()];
         match self.fault {
-            Fault::Torn(n) if now(n) => {
+            Fault::Torn(n) | Fault::Failed(n) if now(n) => {
                 for (old, new) in memory.iter_mut().zip(new) {
                     // Each bit that was to change has changed, or not.
                     *old ^= (*old ^ new) & self.rng.random::<u8>();
                 }
-                self.dead = true;
+                self.dead = matches!(self.fault, Fault::Torn(_));
                 return Err(NorFlashErrorKind::Other);
             }
             Fault::Flip(n) if now(n) => {
@@ -94,7 +98,8 @@ impl<'m> FaultyFlash<'m> {
             }
             _ => memory.copy_from_slice(new),
         }
-        Ok(())
+        let reported = matches!(self.fault, Fault::Reported(n) if now(n));
+        if reported { Err(NorFlashErrorKind::Other) } else { Ok(()) }
     }
 }
 

@@ -24,10 +24,11 @@ use super::firmware::Firmware;
 /// A valid network was refused.
 pub fn try_here() -> Result<Vec<Row>, DeviceError> {
     let mut rows = vec![power::cut_uploads(false, false)?, power::cut_uploads(true, false)?];
-    rows.extend([power::cut_uploads(true, true)?, power::cut_twice(false)?, power::cut_twice(true)?, power::starts()?]);
+    rows.extend([power::cut_uploads(true, true)?, power::cut_after_faults()?]);
+    rows.extend([power::cut_twice(false)?, power::cut_twice(true)?, power::starts()?]);
     rows.extend(bits::bit_rot()?);
     rows.push(bits::spoilt_words()?);
-    rows.extend([bits::flipped_writes()?, bits::bad_networks()?]);
+    rows.extend([bits::flipped_writes()?, bits::reported_errors()?, bits::bad_networks()?]);
     rows.extend(line::lines()?);
     Ok(rows)
 }

@@ -34,6 +34,33 @@ pub(super) fn cut_uploads(torn: bool, ecc: bool) -> Result<Row, DeviceError> {
     Ok(tally.row(fault, &how))
 }
 
+/// Interrupts an upload after starts that ended in faults: no network runs then, and the newest one must be kept.
+pub(super) fn cut_after_faults() -> Result<Row, DeviceError> {
+    let [older, newest, new] = [Network::new(1)?, Network::new(2)?, Network::new(3)?];
+    let mut tally = Tally::default();
+    let mut once = TestDevice::new(false);
+    once.power_on(Fault::None, 0, |dut| upload(dut, older.blob.bytes())).map_err(DeviceError::Refused)?;
+    // The next network lies in the first slot of the one device, and in the second of the other.
+    for mut device in [with(&older, false), once] {
+        device.power_on(Fault::None, 0, |dut| upload(dut, newest.blob.bytes())).map_err(DeviceError::Refused)?;
+        let before = device.save();
+        device.faulting = true;
+        device.power_on(Fault::None, 0, |dut| upload(dut, new.blob.bytes())).map_err(DeviceError::Refused)?;
+        for step in 0..device.steps {
+            device.restore(&before);
+            device.faulting = true;
+            let committed = device.power_on(Fault::Torn(step), step, |dut| upload(dut, new.blob.bytes()).is_ok());
+            tally.try_one(device.cut);
+            device.faulting = false;
+            tally.add(survives(&mut device, &newest, &new, committed));
+        }
+    }
+    Ok(tally.row(
+        "power fails within a step of an upload after three starts that ended in faults",
+        "every word that it writes and every sector that it erases, with the newest network in either slot",
+    ))
+}
+
 /// Interrupts an upload, and then the next start or the second upload.
 pub(super) fn cut_twice(ecc: bool) -> Result<Row, DeviceError> {
     let (old, new) = (Network::new(1)?, Network::new(2)?);

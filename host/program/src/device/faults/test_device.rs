@@ -7,9 +7,9 @@ use half::f16;
 use ommatidia_network::network_file::NetworkFile;
 use ommatidia_session::rng;
 use ommatidia_shared::blob::{Bank, Header, MemoryPlan, Rcan, Sensor, Size, Tap, Weights};
-use ommatidia_shared::device::{Arenas, Device, RamFrame, RamObject, Silent};
+use ommatidia_shared::device::{Arenas, Device, Footprint, Monitor, RamFrame, RamObject};
 use ommatidia_shared::pipeline::Pipeline;
-use ommatidia_shared::wire::{CHUNK, FrameFrom, Refusal, Reply, Request, Telemetry, Transfer};
+use ommatidia_shared::wire::{CHUNK, FrameFrom, Refusal, Reply, Request, StartCause, Telemetry, Transfer};
 use rand::RngExt;
 
 const SIDE: u16 = 34;
@@ -20,7 +20,33 @@ const FAST: usize = 16 << 10;
 const BULK: usize = 64 << 10;
 
 /// The device under test.
-pub(super) type DeviceUnderTest<'a, 'm> = Device<'a, &'a mut FaultyFlash<'m>, RamFrame<'a>, RamObject<'a>, Silent>;
+pub(super) type DeviceUnderTest<'a, 'm> = Device<'a, &'a mut FaultyFlash<'m>, RamFrame<'a>, RamObject<'a>, Starts>;
+
+/// Whether the last starts of a device ended in faults.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Starts {
+    faulting: bool,
+}
+
+impl Monitor for Starts {
+    fn alive(&mut self) {}
+    fn run_begins(&mut self) {}
+    fn run_ends(&mut self) -> Option<u32> {
+        None
+    }
+    fn footprint(&self) -> Footprint {
+        Footprint::default()
+    }
+    fn temperature_cdeg(&mut self) -> Option<i16> {
+        None
+    }
+    fn start_cause(&self) -> StartCause {
+        if self.faulting { StartCause::Fault } else { StartCause::Power }
+    }
+    fn keeps_faulting(&self) -> bool {
+        self.faulting
+    }
+}
 
 /// A network, a frame, and the host's reconstruction of that frame.
 #[derive(Debug)]
@@ -91,6 +117,8 @@ pub(super) struct TestDevice {
     object: Vec<f16>,
     fast: Vec<f32>,
     bulk: Vec<f16>,
+    /// The next start comes after three that ended in faults.
+    pub faulting: bool,
     /// Steps of the flash while the device was on last.
     pub steps: u64,
     /// The power failed while the device was on last.
@@ -106,6 +134,7 @@ impl TestDevice {
             object: vec![f16::ZERO; usize::from(OBJECT) * usize::from(OBJECT)],
             fast: vec![0.0; FAST / size_of::<f32>()],
             bulk: vec![f16::ZERO; BULK / size_of::<f16>()],
+            faulting: false,
             steps: 0,
             cut: false,
         }
@@ -139,7 +168,7 @@ impl TestDevice {
         let mut flash = FaultyFlash::new(memory, self.unreadable.as_deref_mut(), fault, rng);
         let arenas = Arenas { fast: &mut self.fast, bulk: &mut self.bulk };
         let (source, sink) = (RamFrame::new(&mut self.frame), RamObject::new(&mut self.object));
-        let mut device = Device::new("desk", &mut flash, source, sink, arenas, Silent);
+        let mut device = Device::new("desk", &mut flash, source, sink, arenas, Starts { faulting: self.faulting });
         let result = work(&mut device);
         drop(device);
         (self.steps, self.cut) = (flash.steps, flash.dead);
