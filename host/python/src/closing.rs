@@ -54,10 +54,7 @@ pub fn residual<'py>(
     let (session, file) = (session.path(), instrument.filed(scratch.path()).map_err(raised)?);
     let (account, warnings) = work::long(py, None, move |_| {
         let _scratch = scratch;
-        let range = frame_range(&file)?;
-        let warnings = range.map(|range| odd_scenes(&Session::open(&session)?, range)).transpose()?;
-        let mut warnings = warnings.unwrap_or_default();
-        warnings.extend(left_out(&session)?);
+        let warnings = warnings_of(&session, &file)?;
         let request = ResidualRequest { session: &session, instrument: &file, seed };
         Ok((residual_session(&request)?.account, warnings))
     })?;
@@ -76,6 +73,13 @@ pub fn residual<'py>(
         result.set_item("maps", arrays)?;
     }
     Ok(result)
+}
+
+/// Warnings about the frames of a session before it is compared with an instrument.
+fn warnings_of(session: &Path, instrument: &Path) -> anyhow::Result<Vec<String>> {
+    let range = frame_range(instrument)?;
+    let odd = range.map(|range| odd_scenes(&Session::open(session)?, range)).transpose()?;
+    Ok(odd.unwrap_or_default().into_iter().chain(left_out(session)?).collect())
 }
 
 /// Frames that are left out since the session marks them as damaged, as the program words it.
@@ -112,7 +116,7 @@ pub fn close<'py>(
     let made = temporary_folder_beside(&output).map_err(raised)?;
     let (closing, warnings, made) = work::long(py, progress, move |steps| {
         let _scratch = scratch;
-        let warnings = left_out(&session)?;
+        let warnings = warnings_of(&session, &file)?;
         let request = CloseRequest {
             session: &session,
             instrument: &file,

@@ -1,6 +1,6 @@
 //! `close`: finds the effects that an instrument lacks and adds them.
 
-use super::common::{left_out, yes_or_no};
+use super::common::{left_out, odd_scenes, yes_or_no};
 use super::files::{Content, Files};
 use super::retrain::Networks;
 use super::{Outcome, Run};
@@ -8,6 +8,7 @@ use ommatidia_closing::{
     CloseOutcome, CloseRequest, Closing, Effect, FineTuning, JudgedOn, Plan, Progress, account_path, close_session,
 };
 use ommatidia_model::calibrate::CalibrateConfig;
+use ommatidia_network::methods::frame_range;
 use ommatidia_session::Session;
 use ommatidia_session::kind::FileKind;
 
@@ -72,7 +73,9 @@ fn network_path(output: &Path) -> PathBuf {
 /// A file cannot be read or written, or session and instrument have different layouts.
 pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let started = Instant::now();
-    let warnings = left_out(&Session::open(&args.session)?);
+    let session = Session::open(&args.session)?;
+    let mut warnings = odd_scenes(&session, frame_range(&args.instrument)?)?;
+    warnings.extend(left_out(&session));
     let fine_tuning = args.retrain.as_deref();
     let request = CloseRequest {
         session: &args.session,

@@ -68,6 +68,12 @@ fn frames_that_cannot_be_are_reconstructed_with_a_warning() {
                 }
             })
             .says(&["another unit", "for 64.0 DN", "multiply those of the session by 4"]),
+            Mistake::new("Scenes scaled to 0 to 1", "close scenes --instrument scenes.instrument -o new")
+                .with(|desk| scaled_scenes(desk, 1.0 / 4095.0))
+                .says(&["scene frames are not as the sensor delivers them", "0 to 1"]),
+            Mistake::new("Scenes alone multiplied by a half", "close scenes --instrument scenes.instrument -o new")
+                .with(|desk| scaled_scenes(desk, 0.5))
+                .says(&["another unit", "where their objects are dark", "multiply the scenes by 2"]),
             Mistake::new(
                 "One frame of three is dark: a classical method",
                 "reconstruct gap.npy -o out.npy --with instrument --method central",
@@ -116,8 +122,7 @@ fn frames_that_cannot_be_are_reconstructed_with_a_warning() {
                 "residual session --instrument instrument",
             )
             .with(subtracted_scenes)
-            .exit(0)
-            .says(&["scene.npy: frame 0", "black level looks subtracted"]),
+            .says(&["scene.npy: frame 0", "3 of 3 scene frames", "black level looks subtracted"]),
             Mistake::new(
                 "The scenes of a session were dark-subtracted: evaluate",
                 "evaluate session --with instrument --methods central",
@@ -205,6 +210,13 @@ fn a_prediction_says_what_background_it_leaves_out() {
     let [without, with] = ["out.npy", "with.npy"].map(|f| stack::read(&desk.path().join(f)).unwrap());
     let more = (&with - &without).mean().unwrap();
     assert!((more - 0.4 * 12.0).abs() < 0.1, "{more}");
+}
+
+/// Multiplies the scenes of the session `scenes`, and not its darks and flats.
+fn scaled_scenes(desk: &Path, factor: f32) {
+    let file = desk.join("scenes/scene.npy");
+    let frames = stack::read(&file).unwrap().mapv(|v| v * factor);
+    stack::write(&file, frames.view()).unwrap();
 }
 
 /// Adds scenes of known objects to the session, from which the black level was subtracted.
