@@ -83,8 +83,8 @@ fn attempts(
     }
 }
 
-/// Leaves misplaced truths out, where the views agree without them, and judges the session as it is: a search would find
-/// what the truths show better once they are corrected.
+/// Leaves misplaced truths out, where the views agree without them, and judges the session as it is: a search would
+/// find what the truths show better once they are corrected.
 fn without_truths(
     instrument: &Instrument,
     seen: &mut Observations,

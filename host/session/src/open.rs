@@ -202,8 +202,8 @@ impl Stack {
         &self.info
     }
 
-    /// Metadata of the frames whose data are whole, in the order of the frames: of those that the table does not mark as
-    /// damaged ([`FrameInfo::is_damaged`]).
+    /// Metadata of the frames whose data are whole, in the order of the frames: of those that the table does not mark
+    /// as damaged ([`FrameInfo::is_damaged`]).
     pub fn whole(&self) -> impl Iterator<Item = &FrameInfo> {
         self.info.iter().filter(|info| !info.is_damaged())
     }

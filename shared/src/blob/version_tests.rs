@@ -29,8 +29,8 @@ fn version_2_is_read_as_a_network_in_halves() {
     assert_eq!(Network::decode(Aligned::new(&mixed).bytes()).map(Network::into_header), Err(error));
 }
 
-/// A file of version 5 lacks the last byte of the header, that of the watch, one of version 4 that of the passes, too, and
-/// one of version 3 the last byte of the scales of integers.
+/// A file of version 5 lacks the last byte of the header, that of the watch, one of version 4 that of the passes, too,
+/// and one of version 3 the last byte of the scales of integers.
 #[test]
 fn headers_of_older_versions_are_read() {
     let [halves, integers] = [small(), small_in_integers()];

@@ -16,8 +16,8 @@
 //! light = sum of all m0 / 16
 //! s_j = scale_j ((sum over blocks and i of q_jbi m_i) / light)        q: 16-bit integers; both roundings in binary32
 //! ```
-//! that is, maps of displacements which are linear in each block; those of gains take m0 alone and are constant there. A
-//! pixel costs two additions.
+//! that is, maps of displacements which are linear in each block; those of gains take m0 alone and are constant there.
+//! A pixel costs two additions.
 //!
 //! **The test.** The mean m_j of the first [`BASELINE`] frames is the baseline of the stream. From then on two
 //! cumulative sums (E. S. Page, Biometrika 41, 100, 1954) of each statistic grow with what exceeds a slack,
@@ -26,14 +26,14 @@
 //! S+ <- max(0, S+ + (s - m) - slack),   S- <- max(0, S- - (s - m) - slack)
 //! slack = d + 5 sigma / sqrt(BASELINE) + sigma / 8,   alarm where S > height = 4 sigma log_odds
 //! ```
-//! with d the standard deviation of the difference that two specimens make to s, and sigma that of s from frame to frame:
-//! of shot and read noise at half the light of the baseline, and of a specimen that is new in every frame. As long as
-//! nothing has moved, and the specimen has not changed for good by more than d, the mean step is -sigma / 8 or less, and the
-//! probability that a sum which begins at 0 ever reaches the height is at most `exp(-2 (sigma / 8) height / sigma^2) =
-//! exp(-log_odds)` (Lundberg's inequality for normal steps; D. Siegmund, Sequential Analysis, Springer 1985, chapter 2).
-//! Each frame begins at most one such attempt of each sum, so with J statistics at most `2 J exp(-log_odds)` false
-//! alarms come in a frame: `log_odds = ln(2 J 10^6)` makes one in 10^6 frames. The alarm says since which frame the sum
-//! has grown: the estimate of the moment of the change by the largest likelihood.
+//! with d the standard deviation of the difference that two specimens make to s, and sigma that of s from frame to
+//! frame: of shot and read noise at half the light of the baseline, and of a specimen that is new in every frame. As
+//! long as nothing has moved, and the specimen has not changed for good by more than d, the mean step is -sigma / 8 or
+//! less, and the probability that a sum which begins at 0 ever reaches the height is at most `exp(-2 (sigma / 8) height
+//! / sigma^2) = exp(-log_odds)` (Lundberg's inequality for normal steps; D. Siegmund, Sequential Analysis, Springer
+//! 1985, chapter 2). Each frame begins at most one such attempt of each sum, so with J statistics at most `2 J
+//! exp(-log_odds)` false alarms come in a frame: `log_odds = ln(2 J 10^6)` makes one in 10^6 frames. The alarm says
+//! since which frame the sum has grown: the estimate of the moment of the change by the largest likelihood.
 
 mod maps;
 mod monitor;

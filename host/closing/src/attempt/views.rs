@@ -15,8 +15,8 @@ const AGREE: f64 = 0.02;
 const AGREE_SHARE: f64 = 0.1;
 /// Truths are misplaced if moving them leaves at most this share of `1 - r^2` between them and the specimens,
 const EXPLAINED: f64 = 0.5;
-/// and moves a corner of the field by at least this, apart from the shift, object pixels: a shift of all views alike may
-/// be one of the array, and smaller displacements are fitted well as those of effects.
+/// and moves a corner of the field by at least this, apart from the shift, object pixels: a shift of all views alike
+/// may be one of the array, and smaller displacements are fitted well as those of effects.
 const CORNER_PX: f64 = 0.5;
 /// Truths are misplaced one by one if they lie so far from their mean place, root mean square, object pixels,
 const SCATTER_PX: f64 = 0.2;
@@ -89,7 +89,8 @@ impl Views {
         self.chi2
     }
 
-    /// Whether the views agree with one another, of frames of which the truths leave a chi-squared per pixel of `known`.
+    /// Whether the views agree with one another, of frames of which the truths leave a chi-squared per pixel of
+    /// `known`.
     pub fn agree(&self, known: f64) -> bool {
         self.chi2 - 1.0 <= AGREE.max(AGREE_SHARE * (known - 1.0))
     }

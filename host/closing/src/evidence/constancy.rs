@@ -215,8 +215,8 @@ fn light(design: &Design, own: &[(usize, f64)], shows: impl Fn(&Cell) -> bool) -
     if changed > 0.0 { (all / changed).sqrt() } else { 0.0 }
 }
 
-/// Compares the strength of an effect between groups. Changes of the strength in proportion to one of the values `free`,
-/// which each key has, are allowed.
+/// Compares the strength of an effect between groups. Changes of the strength in proportion to one of the values
+/// `free`, which each key has, are allowed.
 fn spread(design: &Design, groups: Vec<Group>, free: &[&dyn Fn(usize) -> f64]) -> Spread {
     let (m, given) = (groups.len(), design.columns.len());
     if m < LEAST_GROUPS {

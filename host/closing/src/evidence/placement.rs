@@ -2,8 +2,8 @@
 //!
 //! A point of the truth at x = (row, col) from the centre of its grid is the point x + d(x) of the specimen, with the
 //! shift, turn and scale d(x) of [`crate::fit::truth`]. With t the truth and o the specimen, d minimises the sum of
-//! `(o(x + d(x)) - g t(x) - b)^2` over the pixels, by Gauss-Newton steps (Lucas & Kanade, Proc. IJCAI 1981, 674); gain g
-//! and level b are free in each frame. Both images are blurred before, so that their resolution does not matter.
+//! `(o(x + d(x)) - g t(x) - b)^2` over the pixels, by Gauss-Newton steps (Lucas & Kanade, Proc. IJCAI 1981, 674); gain
+//! g and level b are free in each frame. Both images are blurred before, so that their resolution does not matter.
 
 use crate::fit::pseudo_inverse;
 use crate::fit::record::median;
@@ -84,8 +84,8 @@ fn converge(pairs: &[Pair], mut parts: Registered) -> Registered {
     parts
 }
 
-/// For each pixel of a truth that counts its value, that of the specimen at its place, and the derivatives of that along
-/// the parts.
+/// For each pixel of a truth that counts its value, that of the specimen at its place, and the derivatives of that
+/// along the parts.
 fn samples(pair: &Pair, parts: Registered, mut take: impl FnMut(f64, f64, Registered)) {
     let (rows, cols) = pair.truth.dim();
     let centre = [rows, cols].map(|n| (n as f64 - 1.0) / 2.0);

@@ -299,8 +299,8 @@ fn is_white(a: &Half, b: &Half) -> bool {
     })
 }
 
-/// What noise that the pixels of a row share, and of a column, adds to the variance of `sum a b`: for `lines` lines of n
-/// pixels, which share the variance s^2 of each half, `lines n^2 s^4`. s^2 is what the means of the lines of `a - b`
+/// What noise that the pixels of a row share, and of a column, adds to the variance of `sum a b`: for `lines` lines of
+/// n pixels, which share the variance s^2 of each half, `lines n^2 s^4`. s^2 is what the means of the lines of `a - b`
 /// scatter more than those of single pixels do; the pattern itself is in both halves alike.
 fn by_lines(a: &Half, b: &Half) -> f64 {
     let differ = &a.value - &b.value;
@@ -347,8 +347,8 @@ fn pattern(a: &Half, b: &Half, single: &Array2<bool>, left: f64, kept: f64) -> O
     Some(Shape { table, size: (variance - left).max(0.0), error, doubt: (TOLERANCE - 1.0) * left, table_error, z })
 }
 
-/// A map without what all pixels of a row, or of a column, share: the first column behind a lag is no spot. Medians leave
-/// spots as they are.
+/// A map without what all pixels of a row, or of a column, share: the first column behind a lag is no spot. Medians
+/// leave spots as they are.
 fn without_lines(map: &Array2<f32>) -> Array2<f32> {
     let mut out = map.clone();
     for axis in [Axis(0), Axis(1)] {

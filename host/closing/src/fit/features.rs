@@ -38,7 +38,8 @@ pub(super) fn tails(d: &Array2<f32>) -> f64 {
 
 /// Variance common to the pixels of a row, and of a column, and what is left of an image without the means of its rows
 /// and columns: the noise that these have in common would make the variance of the pixels and the likeness of
-/// neighbours scatter. A flicker of the lamp changes all pixels together and is no noise of the sensor, so the mean is taken off.
+/// neighbours scatter. A flicker of the lamp changes all pixels together and is no noise of the sensor, so the mean is
+/// taken off.
 pub(super) fn lines(d: &Array2<f32>) -> ([f64; 2], Array2<f32>) {
     let (rows, cols) = d.dim();
     let (mut of_rows, mut of_cols) = (vec![0.0f64; rows], vec![0.0f64; cols]);

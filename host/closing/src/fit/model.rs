@@ -31,8 +31,8 @@ pub(crate) const PUPIL_DEFOCUS: &str = "pupil_defocus";
 /// Levels of flats that determine the bend of a response.
 const LEVELS: usize = 3;
 
-/// Whether the flats show how the signal grows with the light. Scenes alone do not: what is wrong in the optics is wrong
-/// where they are bright.
+/// Whether the flats show how the signal grows with the light. Scenes alone do not: what is wrong in the optics is
+/// wrong where they are bright.
 fn shows_response(seen: &Observations) -> bool {
     let flats = seen.frames.iter().filter(|f| f.shown == Shown::Even);
     let mut doses: Vec<f64> = flats.map(|f| f.info.exposure_ms * f.info.illumination).collect();

@@ -4,8 +4,8 @@
 use super::record::{IN_PLACE, Seen, Turn, correlation, median};
 use crate::data::FaultKind;
 
-/// Turned back, the scenes leave less than this share of the unexplained variance, (1 - correlation), of what they leave
-/// as they are, and of what turned objects leave.
+/// Turned back, the scenes leave less than this share of the unexplained variance, (1 - correlation), of what they
+/// leave as they are, and of what turned objects leave.
 const BETTER: f64 = 0.5;
 /// Number of scenes that this takes.
 const SCENES: usize = 2;

@@ -16,8 +16,8 @@ const ROWS: usize = 32;
 /// Standard deviation of the Gaussian blur that takes the change of an unknown specimen out of a difference, pixels.
 const SMOOTH_PX: f64 = 2.0;
 
-/// Rows after which a wave repeats that the offsets of the rows follow, in the differences of repeated frames; its phase
-/// may differ from frame to frame. None: the offsets are independent, as those of row noise are, or too few.
+/// Rows after which a wave repeats that the offsets of the rows follow, in the differences of repeated frames; its
+/// phase may differ from frame to frame. None: the offsets are independent, as those of row noise are, or too few.
 pub(crate) fn rhythm(model: &Model<'_>, now: &[Predicted]) -> Option<f64> {
     let series: Vec<Vec<f64>> = repeats(model, now).into_iter().map(row_offsets).collect();
     let rows = series.first().map_or(0, Vec::len);

@@ -116,8 +116,8 @@ pub struct State {
     pub background_e: Vec<Slopes>,
     /// The light of the flats' lamp over the sensor.
     pub lamp: Lamp,
-    /// Light in the rings outside the windows of the calibration, and its slopes over the sensor (`wings`), each in units
-    /// of its standard uncertainty; they are fitted where objects are known, within their ranges.
+    /// Light in the rings outside the windows of the calibration, and its slopes over the sensor (`wings`), each in
+    /// units of its standard uncertainty; they are fitted where objects are known, within their ranges.
     pub wings: Vec<f64>,
     /// Where the truths lie, for each of [`crate::Observations::registrations`]; all zero: as recorded.
     pub registration: Vec<Registered>,

@@ -13,8 +13,8 @@
 //! effect. Elsewhere the shares are errors of the calibration alone ([`super::replicas`]).
 //!
 //! Aberrations grow over the field, and their tails do. So the light outside may differ over the sensor as well: along
-//! the rows, along the columns, and with the square of the distance from the centre. These three slopes are nuisances of
-//! the same kind. Without them, tails that are brighter far from the axis would pass for a vignetting below zero.
+//! the rows, along the columns, and with the square of the distance from the centre. These three slopes are nuisances
+//! of the same kind. Without them, tails that are brighter far from the axis would pass for a vignetting below zero.
 
 use super::state::{Column, State};
 use crate::data::{Observations, Shown};
@@ -243,8 +243,8 @@ mod tests {
 
     #[test]
     fn a_ring_may_hold_the_light_of_the_slowest_law() {
-        // Beyond h, 2 h, 4 h and 8 h, shares of the light by the cube (1, 1/2, 1/4, 1/8) of twice the most by the fourth
-        // power (1, 1/4, 1/16, 1/64), which is root three times what is stated.
+        // Beyond h, 2 h, 4 h and 8 h, shares of the light by the cube (1, 1/2, 1/4, 1/8) of twice the most by the
+        // fourth power (1, 1/4, 1/16, 1/64), which is root three times what is stated.
         let stated = rings(7, 1e-4);
         for (i, (.., share)) in stated.iter().enumerate() {
             let of_cube = 2.0 * 3f64.sqrt() * 1e-4 * (0.5f64.powi(i as i32) - 0.5f64.powi(i as i32 + 1));

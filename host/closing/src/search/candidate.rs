@@ -69,8 +69,8 @@ impl Candidate {
     }
 
     /// Whether an error in the law of another effect may look like this one. Tables are estimated from even light and
-    /// darks alone, pixel by pixel: the optics cannot imitate them, nor what even light and darks prove otherwise. A term without a name claims no cause, so that it
-    /// is added wherever much is left of the data of `pixels` pixels.
+    /// darks alone, pixel by pixel: the optics cannot imitate them, nor what even light and darks prove otherwise. A
+    /// term without a name claims no cause, so that it is added wherever much is left of the data of `pixels` pixels.
     pub(crate) fn can_be_shadowed(&self, pixels: f64) -> bool {
         let much = self.term.id().starts_with("unknown") && self.gain() > MUCH * pixels;
         let of_even_light = self.table.as_ref().is_some_and(|t| !t.of_scenes);

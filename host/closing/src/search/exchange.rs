@@ -1,8 +1,8 @@
 //! Exchanges a found effect for one that explains the data better beside the others.
 //!
 //! Forward selection names first what explains most alone. Where two causes act at once, that may be an effect which
-//! resembles their sum, and the next one then mends what it left. Once all are found, each is taken out in turn and those
-//! that resemble it are tried in its place beside the others (sequential replacement: Miller, Subset Selection in
+//! resembles their sum, and the next one then mends what it left. Once all are found, each is taken out in turn and
+//! those that resemble it are tried in its place beside the others (sequential replacement: Miller, Subset Selection in
 //! Regression, 2nd ed., 2002, section 3.4). What is no longer needed then is pruned later.
 
 use super::candidate::{AMBIGUOUS, Candidate, Found, PENALTY};
@@ -19,9 +19,9 @@ use ommatidia_physics::effects::Kind;
 const TRIED: usize = 2;
 
 impl Search<'_, '_> {
-    /// Exchanges found effects of the catalogue, where there are two or more, until none is better replaced. Searches on
-    /// after each exchange. Does nothing beside estimated specimens: each trial would have to estimate them again, and
-    /// what they take of an effect differs from one to the next.
+    /// Exchanges found effects of the catalogue, where there are two or more, until none is better replaced. Searches
+    /// on after each exchange. Does nothing beside estimated specimens: each trial would have to estimate them again,
+    /// and what they take of an effect differs from one to the next.
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
@@ -99,9 +99,9 @@ impl Search<'_, '_> {
         terms
     }
 
-    /// By how much the deviance is lower with another effect in the place of `old`, each with the penalty of its values,
-    /// beyond what makes two effects ambiguous. A simpler one may be worse by what the law of an effect errs by. 0 where
-    /// held-out data are predicted worse by more than that.
+    /// By how much the deviance is lower with another effect in the place of `old`, each with the penalty of its
+    /// values, beyond what makes two effects ambiguous. A simpler one may be worse by what the law of an effect errs
+    /// by. 0 where held-out data are predicted worse by more than that.
     fn saved(&self, old: &Term, without: &Fitted, (c, fit): (&Candidate, &Fitted)) -> f64 {
         let values = |t: &Term| Values::of(t, self.model.lenses());
         let (of_new, of_old) = (values(&c.term), values(old));

@@ -1,11 +1,11 @@
 //! Searches for the effects that a model lacks.
 //!
 //! [`trials`] lists what is tried, `scoring` gives each its evidence, [`select`] adds one effect after another (forward
-//! selection) after full fits of the `finalists` in `confirm`, `exchange` replaces found effects by better ones, `pairs`
-//! adds two effects that hide each other, `shadow` names what is no error of a stronger one, `earn` takes out effects
-//! that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward elimination),
-//! [`recalibrate`] measures what a new calibration would gain, `lost` lists what cannot be tested beside truths of
-//! uncertain place.
+//! selection) after full fits of the `finalists` in `confirm`, `exchange` replaces found effects by better ones,
+//! `pairs` adds two effects that hide each other, `shadow` names what is no error of a stronger one, `earn` takes out
+//! effects that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward
+//! elimination), [`recalibrate`] measures what a new calibration would gain, `lost` lists what cannot be tested beside
+//! truths of uncertain place.
 
 pub mod candidate;
 mod confirm;

@@ -1,10 +1,10 @@
 //! Two effects that hide each other.
 //!
 //! Forward selection asks of each effect whether it explains the data alone. Where two causes act at once, neither may:
-//! what the other one leaves scatters so much between frames and blocks that the evidence for the first drowns in it, or
-//! a third effect that resembles their sum comes first. So pairs are tested together ([`Scores::test`] of the columns of
-//! both, whose scatter is that beside both), the best are fitted in full, and a pair is added where each of the two is
-//! significant beside the other.
+//! what the other one leaves scatters so much between frames and blocks that the evidence for the first drowns in it,
+//! or a third effect that resembles their sum comes first. So pairs are tested together ([`Scores::test`] of the
+//! columns of both, whose scatter is that beside both), the best are fitted in full, and a pair is added where each of
+//! the two is significant beside the other.
 
 use super::candidate::{Candidate, Found, PENALTY};
 use super::confirm::{Added, excess_left, fitted_beside, weight};

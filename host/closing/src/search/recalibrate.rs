@@ -34,7 +34,8 @@ pub fn trial_calibration(
 }
 
 /// Calibrates on a session of the instrument `before`. What the session does not show of the sensor (the noise without
-/// flats and darks, the maps and the bend of the response without the frames that they are measured on) stays as it was.
+/// flats and darks, the maps and the bend of the response without the frames that they are measured on) stays as it
+/// was.
 ///
 /// # Errors
 /// The session cannot be read or calibrated.

@@ -12,9 +12,9 @@ use crate::fit::Fitted;
 use ommatidia_model::forward::ForwardError;
 
 impl Search<'_, '_> {
-    /// Adds effects in the shadow of stronger ones, those that explain most first, until `is_noise` says of the fit that
-    /// no structure is left; then searches on. Adds none, and returns false, where it never says so. Does nothing beside
-    /// estimated specimens, as [`Search::exchange`].
+    /// Adds effects in the shadow of stronger ones, those that explain most first, until `is_noise` says of the fit
+    /// that no structure is left; then searches on. Adds none, and returns false, where it never says so. Does nothing
+    /// beside estimated specimens, as [`Search::exchange`].
     ///
     /// # Errors
     /// An object holds negative or non-finite light.

@@ -58,9 +58,10 @@ fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<T
 /// Effects that displace the images of all lenses as truths do that lie beside the object.
 const DISPLACE: [&str; 5] = ["array_shift", "stage_scale", "magnification", "array_rotation", "sensor_rotation"];
 
-/// The Laplacian of the light, where images are displaced or the session states that its truths may be: such truths were
-/// often interpolated, or taken by a camera of less resolution. Scenes are sharper than such truths predict, which is no sign of the optics. It
-/// stands beside the effects of the catalogue, so that one that sharpens images is named only if it explains more.
+/// The Laplacian of the light, where images are displaced or the session states that its truths may be: such truths
+/// were often interpolated, or taken by a camera of less resolution. Scenes are sharper than such truths predict, which
+/// is no sign of the optics. It stands beside the effects of the catalogue, so that one that sharpens images is named
+/// only if it explains more.
 fn blurred_truths(model: &Model<'_>, state: &State) -> Option<Term> {
     if !displaced(model, state) || !model.sees_known_light() || state.terms.iter().any(is_laplacian) {
         return None;

@@ -137,8 +137,8 @@ fn a_displacement_that_a_misplaced_truth_may_be_has_a_note() {
     let folder = tempfile::tempdir().unwrap();
     let closing = closed(&measured(Holds::TruthShifted, &[], &folder.path().join("session"), 730));
     assert!(closing.registrations.is_empty());
-    // Truths that were displaced by interpolation are also less sharp, which may be named, so that no other name need be
-    // earned, and a drift of wavefronts, which displaces and blurs, may resemble it best.
+    // Truths that were displaced by interpolation are also less sharp, which may be named, so that no other name need
+    // be earned, and a drift of wavefronts, which displaces and blurs, may resemble it best.
     assert!(names(&closing).iter().all(|id| ["array_shift", "truth_blur"].contains(id)), "{:?}", names(&closing));
     let displaced = |n: &String| ["array_shift", "unknown_warp", "wavefront_drift"].iter().any(|id| n.starts_with(id));
     let note = |n: &String| displaced(n) && n.contains("truth_registration_px");

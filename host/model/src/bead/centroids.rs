@@ -107,8 +107,8 @@ impl Patch {
     }
 }
 
-/// Centroid of the light in a window, less the median of its border, [row, col] from its first pixel. None if it holds a
-/// saturated pixel, or has no peak of 8 sigma.
+/// Centroid of the light in a window, less the median of its border, [row, col] from its first pixel. None if it holds
+/// a saturated pixel, or has no peak of 8 sigma.
 ///
 /// There is no threshold: it would cut the faint flare of coma and move the centroid towards the bright core.
 fn centroid(window: ArrayView2<'_, f32>, sigma: f64) -> Option<[f64; 2]> {

@@ -162,7 +162,8 @@ fn one_by_one(lattice: &Lattice, places: &[[f64; 2]], m: &Manifest, scan: &Scan)
         let text = format!("the foci of {found} lenses lie where they are declared");
         return vec![Finding::new("array", Severity::Ok, format!("{text} ({} bead frames)", scan.frames.len()))];
     }
-    // Reflections shine beside lenses, too, and lenses may be dark: a third of the places must be empty for them to be wrong.
+    // Reflections shine beside lenses, too, and lenses may be dark: a third of the places must be empty for them to be
+    // wrong.
     let severity = if 3 * found < 2 * places.len() { Severity::Error } else { Severity::Warning };
     let list: Vec<String> = spots.iter().map(|p| format!("[{:.0}, {:.0}]", p[0], p[1])).collect();
     let text = format!(

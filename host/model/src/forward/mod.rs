@@ -258,7 +258,8 @@ impl Forward {
         self.on_sensor(self.sum_e(scene, effects, cx), effects, cx)
     }
 
-    /// Electrons of all lenses of a scene, [sensor rows, sensor cols], with the effects of stages `Geometry` and `Lens`.
+    /// Electrons of all lenses of a scene, [sensor rows, sensor cols], with the effects of stages `Geometry` and
+    /// `Lens`.
     pub fn sum_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::zeros(self.operator().sensor_shape());
         let per_lens = effects.acts_at(Stage::Lens);

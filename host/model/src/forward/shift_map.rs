@@ -1,8 +1,8 @@
 //! The displacement of chief rays over the image of a lens: followed at every few pixels, interpolated between them.
 //!
-//! Laws of effects are polynomials of at most the third degree in the place of a ray, and the interpolation is the cubic
-//! one of Lagrange, which is exact for these. Where rays are followed backwards, from where they end, an error of the
-//! fourth order is left: 1e-5 px for a distortion of 5 px at the corner.
+//! Laws of effects are polynomials of at most the third degree in the place of a ray, and the interpolation is the
+//! cubic one of Lagrange, which is exact for these. Where rays are followed backwards, from where they end, an error of
+//! the fourth order is left: 1e-5 px for a distortion of 5 px at the corner.
 
 use ndarray::{Array2, Axis};
 use ommatidia_physics::effects::RayShift;

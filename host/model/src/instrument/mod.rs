@@ -86,8 +86,8 @@ impl Instrument {
         self.pupils.of(&self.psf, &self.geometry, self.manifest.sensor.pixel_pitch_um)
     }
 
-    /// Fits the pupils where none are fitted yet: those of a scan in one plane, or those that tell of the depths between
-    /// the planes of a scan.
+    /// Fits the pupils where none are fitted yet: those of a scan in one plane, or those that tell of the depths
+    /// between the planes of a scan.
     pub fn fit_pupils(&self) {
         let pitch_um = self.manifest.sensor.pixel_pitch_um;
         self.pupils.of(&self.psf, &self.geometry, pitch_um);

@@ -1,9 +1,9 @@
 //! The maps: least squares over specimens of random points.
 //!
-//! Let theta hold the displacements and gains of all lenses, with variances sigma_k^2 about what was calibrated, and let
-//! a specimen be [`SOURCES`] points of equal light at random places. With f the sums of its frame over the functions of
-//! the basis, divided by the light of the frame, phi those of the calibrated instrument and Phi_k their changes, the map
-//! w of parameter j minimises
+//! Let theta hold the displacements and gains of all lenses, with variances sigma_k^2 about what was calibrated, and
+//! let a specimen be [`SOURCES`] points of equal light at random places. With f the sums of its frame over the
+//! functions of the basis, divided by the light of the frame, phi those of the calibrated instrument and Phi_k their
+//! changes, the map w of parameter j minimises
 //!
 //! ```text
 //! E |w . f - t_j|^2,   f = phi + sum_k theta_k Phi_k + noise,   t_j = theta_j - mean of the others of its kind

@@ -3,8 +3,8 @@ use super::*;
 use ndarray::Array2;
 use ommatidia_shared::watch::MAX_STATISTICS;
 
-/// Nine lenses over one sensor whose views overlap, one PSF each: what is left of a specimen, and what a lens that moves
-/// by a pixel makes, in frames that the operator computes.
+/// Nine lenses over one sensor whose views overlap, one PSF each: what is left of a specimen, and what a lens that
+/// moves by a pixel makes, in frames that the operator computes.
 #[test]
 fn maps_answer_displacements_and_hardly_anything_else() {
     let mut instrument = ommatidia_model::testing::square_array(3, [90, 90], [40, 40]);

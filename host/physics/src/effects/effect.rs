@@ -19,9 +19,9 @@ pub trait Effect: Send + Sync {
 
     /// Stage `Object`: changes the emitted light, [object rows, object cols].
     fn on_object(&self, _p: &[f64], _object: &mut Array2<f32>, _cx: &FrameContext<'_>) {}
-    /// Stage `Geometry`: displacement of a focus, or of its source, from the calibrated position. The forward model asks
-    /// for every fourth pixel and interpolates: laws are polynomials of at most the third degree in the place of the ray,
-    /// or as smooth.
+    /// Stage `Geometry`: displacement of a focus, or of its source, from the calibrated position. The forward model
+    /// asks for every fourth pixel and interpolates: laws are polynomials of at most the third degree in the place of
+    /// the ray, or as smooth.
     fn shift_ray(&self, _p: &[f64], _ray: &Ray, _cx: &FrameContext<'_>) -> RayShift {
         RayShift::default()
     }
@@ -67,8 +67,8 @@ pub trait Effect: Send + Sync {
     fn is_of_the_grid(&self) -> bool {
         false
     }
-    /// Whether the effect is as smooth over the sensor as the light of a lamp. Flats do not show it, since the smooth part
-    /// of their light belongs to the lamp.
+    /// Whether the effect is as smooth over the sensor as the light of a lamp. Flats do not show it, since the smooth
+    /// part of their light belongs to the lamp.
     fn is_as_smooth_as_a_lamp(&self) -> bool {
         false
     }

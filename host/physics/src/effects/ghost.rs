@@ -1,9 +1,9 @@
 //! Ghost: a faint image of the whole frame, rotated by 180 degrees about a point of the sensor, from light reflected
 //! between two surfaces.
 //!
-//! `mu(x) -> mu(x) + ratio mu(2 c - x)` with c = (centre_row, centre_col) from the centre of the sensor, pixels. It acts on
-//! specimens and beads, and leaves out what light they have beyond the sensor. A flat field, which is lit there as well,
-//! does not show it: turned, it is the same light.
+//! `mu(x) -> mu(x) + ratio mu(2 c - x)` with c = (centre_row, centre_col) from the centre of the sensor, pixels. It
+//! acts on specimens and beads, and leaves out what light they have beyond the sensor. A flat field, which is lit there
+//! as well, does not show it: turned, it is the same light.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};

@@ -1,8 +1,8 @@
 //! Halo: part of the light of each point is scattered far outside the PSF window, e.g. by turbid media or dirty optics.
 //!
-//! `mu -> (1 - weight) mu + weight (g * mu)` with a Gaussian g of standard deviation `sigma_px`. It acts on specimens and
-//! beads, whose light is lost where it is scattered off the sensor. A flat field, which is lit from beyond the sensor as
-//! well, does not show it.
+//! `mu -> (1 - weight) mu + weight (g * mu)` with a Gaussian g of standard deviation `sigma_px`. It acts on specimens
+//! and beads, whose light is lost where it is scattered off the sensor. A flat field, which is lit from beyond the
+//! sensor as well, does not show it.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};

@@ -1,7 +1,7 @@
 //! Lens leakage: without baffles, light of the image of one lens appears again behind each neighbouring lens.
 //!
-//! `mu_l(x) -> mu_l(x) + kappa sum_n mu_l(x - (anchor_n - anchor_l))` over the neighbours n of lens l: the lenses at the
-//! least distance in the array, up to four on a square grid and six on a hexagonal one.
+//! `mu_l(x) -> mu_l(x) + kappa sum_n mu_l(x - (anchor_n - anchor_l))` over the neighbours n of lens l: the lenses at
+//! the least distance in the array, up to four on a square grid and six on a hexagonal one.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
@@ -45,7 +45,8 @@ impl Effect for LensLeakage {
 /// Distances up to so many times the least one are those of neighbours: on a square grid the next are 1.41 times it.
 const NEAREST: f64 = 1.2;
 
-/// The anchors of the lenses that lie nearest to a lens, by the distance to the nearest lens that is usual in the array.
+/// The anchors of the lenses that lie nearest to a lens, by the distance to the nearest lens that is usual in the
+/// array.
 fn neighbours(lens: usize, anchors_px: &[[f64; 2]]) -> impl Iterator<Item = &[f64; 2]> {
     let distance = |a: usize, b: usize| {
         let [a, b] = [anchors_px[a], anchors_px[b]];

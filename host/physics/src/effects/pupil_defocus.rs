@@ -1,7 +1,7 @@
 //! Own defocus of lenses that their pupils misjudge: no cause, but what a calibration leaves open of its pupils.
 //!
-//! `W_0 -> W_0 + e_l Z_4` in the pupil of lens l before any wavefront is added, with Noll's Z_4 and e_l in waves rms. No
-//! calibrated PSF changes by it, only what an added wavefront makes of it: an added defocus d changes a PSF by about
+//! `W_0 -> W_0 + e_l Z_4` in the pupil of lens l before any wavefront is added, with Noll's Z_4 and e_l in waves rms.
+//! No calibrated PSF changes by it, only what an added wavefront makes of it: an added defocus d changes a PSF by about
 //! `2 (c + e) d + d^2` where c is the defocus that the pupil has. PSFs of a lens that is nearly in focus change by no
 //! more than `2 c e + e^2`, which hides e in their errors (`ommatidia_model::psf::pupils`). `close` fits it beside
 //! effects on the wavefront, and it is in no catalogue. Source: Noll, J. Opt. Soc. Am. 66, 207 (1976).

@@ -110,7 +110,8 @@ impl Effect for TelegraphPixels {
         }
     }
 
-    /// The share of the pixels that jump, where jumps stand out of the noise. The variance shows amplitude^2 share alone.
+    /// The share of the pixels that jump, where jumps stand out of the noise. The variance shows amplitude^2 share
+    /// alone.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
         jumping(evidence).into_iter().map(|share| vec![0.0, share.clamp(1e-5, 0.1), 1.0]).collect()
     }

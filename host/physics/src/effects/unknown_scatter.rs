@@ -1,9 +1,9 @@
 //! Unnamed scatter: light of each point goes to places round it, by a law of any form.
 //!
-//! `mu -> mu + sum_k w_k (g_k * mu - mu)` with Gaussians g_k of standard deviations [`SIGMAS_PX`]. Each is twice as wide
-//! as the one before, so that their sum follows any law that falls with the distance from a few pixels to a hundred;
-//! shares of both signs make rings. It acts on specimens and beads: a flat field, which is lit from beyond the sensor as
-//! well, does not show it. Light that is scattered off the sensor is lost.
+//! `mu -> mu + sum_k w_k (g_k * mu - mu)` with Gaussians g_k of standard deviations [`SIGMAS_PX`]. Each is twice as
+//! wide as the one before, so that their sum follows any law that falls with the distance from a few pixels to a
+//! hundred; shares of both signs make rings. It acts on specimens and beads: a flat field, which is lit from beyond the
+//! sensor as well, does not show it. Light that is scattered off the sensor is lost.
 
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Param, Stage};

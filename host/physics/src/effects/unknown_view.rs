@@ -1,5 +1,5 @@
-//! Unnamed shade of one view: a factor on the light of specimens through a single lens that is fixed to the sensor, e.g.
-//! by a droplet or a hair near the array. `close` measures it on scenes.
+//! Unnamed shade of one view: a factor on the light of specimens through a single lens that is fixed to the sensor,
+//! e.g. by a droplet or a hair near the array. `close` measures it on scenes.
 //!
 //! `mu_l -> mu_l (1 + u(pixel))` of lens l in frames of specimens and beads. Injected tables u are normal numbers
 //! blurred by [`GRAIN_PX`].

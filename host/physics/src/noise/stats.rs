@@ -126,7 +126,8 @@ impl PixelStats {
         Some(Summary { mean, variance: white, sigma: white * (2.0 / (freedom * count)).sqrt() })
     }
 
-    /// Standard error of the mean over all frames and pixels, DN, by the scatter of the frames. Needs two frames or more.
+    /// Standard error of the mean over all frames and pixels, DN, by the scatter of the frames. Needs two frames or
+    /// more.
     pub(super) fn mean_error(&self) -> f64 {
         (self.frame_variance() / self.frames()).sqrt()
     }
@@ -141,8 +142,8 @@ impl PixelStats {
     /// Black level and offset of each pixel; `variance` is the temporal variance of a pixel, DN^2.
     ///
     /// The mean of n frames has noise of variance `variance / n`. Offsets are therefore shrunk by the share of noise in
-    /// their spread, except those of outliers (hot pixels): those that a row or a column shares, which many pixels show,
-    /// and what is left of each pixel, each by the share of noise in its own spread.
+    /// their spread, except those of outliers (hot pixels): those that a row or a column shares, which many pixels
+    /// show, and what is left of each pixel, each by the share of noise in its own spread.
     pub(super) fn offsets(&self, variance: Option<f64>) -> Offsets {
         let means = self.means();
         let mut sorted: Vec<f64> = means.iter().copied().collect();

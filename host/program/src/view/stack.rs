@@ -6,8 +6,8 @@ use ommatidia_session::import::{Times, losses_of, notes_on, times_or_why};
 use ommatidia_session::{FrameReader, ObjectGrid, SampleType, SensorSpec};
 use std::path::Path;
 
-/// The times of the frames of a recording, and what a person should know of it: what is lost of it, and what was found in
-/// its files.
+/// The times of the frames of a recording, and what a person should know of it: what is lost of it, and what was found
+/// in its files.
 pub(super) fn times_and_notes(reader: &FrameReader) -> (Option<Times>, Vec<String>) {
     let (times, unread) = times_or_why(reader).unwrap_or_else(|e| (None, Some(format!("{e}; its times are left out"))));
     let mut notes = losses_of(reader).map_or_else(|_| Vec::new(), |losses| losses.warnings(reader.path()));

@@ -60,8 +60,9 @@ fn are_single(table: &Array2<f32>) -> bool {
 }
 
 /// Single pixels above their neighbourhood by the threshold, in both halves. None: they are not single. Their size is
-/// the scale of an exponential distribution: their mean above the threshold. Of the share `jumping` of the pixels that jump between two levels, some are by chance in the
-/// upper one in every frame: only more hot pixels than that prove any.
+/// the scale of an exponential distribution: their mean above the threshold. Of the share `jumping` of the pixels that
+/// jump between two levels, some are by chance in the upper one in every frame: only more hot pixels than that prove
+/// any.
 pub(super) fn sparse(a: &Half, b: &Half, jumping: f64) -> Option<Shape> {
     let [a, b] = [a, b].map(beside_neighbours);
     let both = mean(&a, &b);

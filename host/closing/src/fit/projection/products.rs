@@ -219,8 +219,8 @@ impl<const L: usize> Product<L> for Collect<'_, L> {
         }
     }
 
-    /// The same of object pixels side by side from `i` on, whose windows begin at `at`: several sums at once, since each
-    /// addition waits for the one before.
+    /// The same of object pixels side by side from `i` on, whose windows begin at `at`: several sums at once, since
+    /// each addition waits for the one before.
     #[inline(always)]
     fn several<S: Simd>(&mut self, simd: S, (lens, at): (usize, usize), i: usize) {
         let (width, cols) = (self.views.width(), self.views.bordered()[1]);

@@ -7,8 +7,8 @@
 //! M_lk(x) ~ sum_(p < P) a_lkp phi_p(x)
 //! ```
 //! So the object is transformed P times for all lenses, and not once for each term of each lens. With the products of
-//! the basis PSFs of a lens `S_l = B_l' B_l` and the power of its PSFs in the block `w_l = sum_x |S_l^1/2 M_l(x)|^2`, the
-//! rows of all lenses one below the other are `N(x) = (w_l^-1/2 S_l^1/2 M_l(x))_l`, and
+//! the basis PSFs of a lens `S_l = B_l' B_l` and the power of its PSFs in the block `w_l = sum_x |S_l^1/2 M_l(x)|^2`,
+//! the rows of all lenses one below the other are `N(x) = (w_l^-1/2 S_l^1/2 M_l(x))_l`, and
 //!
 //! ```text
 //! sum_x N(x) N(x)' = V diag(e) V',  e descending;     phi_p(x) = v_p' N(x);     a_lp = w_l^1/2 S_l^-1/2 v_lp
@@ -54,7 +54,8 @@ pub(super) struct Interpolation<'a> {
     pub cols: &'a [Taps],
 }
 
-/// The tiling that costs least with the functions of its blocks; None where terms of each lens in large blocks cost less.
+/// The tiling that costs least with the functions of its blocks; None where terms of each lens in large blocks cost
+/// less.
 ///
 /// `lenses` are the living ones. `error` is the relative root-mean-square error of the PSFs of a lens in a block;
 /// `coarse` is the tiling for terms of each lens.

@@ -81,8 +81,8 @@ impl Weights {
         Arch::new().dispatch(Image { weights: self, functions, basis, out });
     }
 
-    /// Adds what the functions collect, panels [panel, padded functions, 2, PANEL], of the frame `frame`, panels [panel,
-    /// 1, 2, PANEL].
+    /// Adds what the functions collect, panels [panel, padded functions, 2, PANEL], of the frame `frame`, panels
+    /// [panel, 1, 2, PANEL].
     pub fn collect(&self, frame: &[f32], basis: &[f32], out: &mut [f32]) {
         Arch::new().dispatch(Collect { weights: self, frame, basis, out });
     }

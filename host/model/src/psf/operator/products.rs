@@ -216,8 +216,8 @@ impl Products {
         Some(object)
     }
 
-    /// Transforms what a lens shows of a block on a frame; false where that lies entirely off the sensor. `corner` is the
-    /// sensor pixel of object pixel (0, 0); `take` receives the columns of the spectrum.
+    /// Transforms what a lens shows of a block on a frame; false where that lies entirely off the sensor. `corner` is
+    /// the sensor pixel of object pixel (0, 0); `take` receives the columns of the spectrum.
     pub fn seen(
         &self,
         corner: [isize; 2],

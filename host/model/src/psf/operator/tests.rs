@@ -217,7 +217,8 @@ fn wrong_shapes_and_tables_are_refused() {
 
 proptest::proptest! {
     #![proptest_config(proptest::prelude::ProptestConfig::with_cases(24))]
-    /// <A x, y> = <x, A' y>, for any sizes, blocks and shifts of the chief rays, with all terms and with shared functions.
+    /// <A x, y> = <x, A' y>, for any sizes, blocks and shifts of the chief rays, with all terms and with shared
+    /// functions.
     #[test]
     fn the_adjoint_is_the_transpose(
         rows in 3usize..40, cols in 3usize..40, half in 0usize..5, rank in 1usize..4,

@@ -53,8 +53,8 @@ impl Tiling {
         spans(0).flat_map(move |r| spans(1).map(move |c| (r.clone(), c)))
     }
 
-    /// Work with the terms of each lens, in units of one value of a pass along the columns; the spectra of the terms are
-    /// computed, too.
+    /// Work with the terms of each lens, in units of one value of a pass along the columns; the spectra of the terms
+    /// are computed, too.
     pub fn cost_of_terms(&self, window: usize, lenses: usize, terms: usize) -> f64 {
         let blocks = self.blocks().count();
         (lenses * terms) as f64 * (blocks as f64 * self.transform_cost(self.step[0]) + self.transform_cost(window))

@@ -128,8 +128,8 @@ impl PupilModel {
 
     /// Defocus of a source of light of `wavelength_um` that is displaced by `z_um` along the axis, through a lens,
     /// waves rms; 0 for a dead lens. It grows as the square of the radius of the pupil: its curvature at a given
-    /// frequency is the same for all lenses. Its sign is that of the even terms: unknown. A scan at several depths shows
-    /// both for each lens, whatever the wavelength.
+    /// frequency is the same for all lenses. Its sign is that of the even terms: unknown. A scan at several depths
+    /// shows both for each lens, whatever the wavelength.
     pub fn defocus_waves(&self, lens: usize, z_um: f64, wavelength_um: f64) -> f64 {
         if let Some(Some(waves_per_um)) = self.scanned_waves_per_um.get(lens) {
             return waves_per_um * z_um;
@@ -174,9 +174,9 @@ impl PupilModel {
     /// How far the own defocus of a lens may lie from that of its pupil, waves rms (standard deviation).
     ///
     /// A lens with defocus c makes a PSF that differs from that with `c + e` by about `(2 |c| e + e^2) (2 pi)^2 / 2`,
-    /// relative to its norm and with its light free: the fall of the peak to second order in the wavefront (Born & Wolf,
-    /// section 9.1.3), half of which is taken to be a loss that the free light makes up for. e is the largest that the misfit of the
-    /// pupil hides. 0: a dead lens.
+    /// relative to its norm and with its light free: the fall of the peak to second order in the wavefront (Born &
+    /// Wolf, section 9.1.3), half of which is taken to be a loss that the free light makes up for. e is the largest
+    /// that the misfit of the pupil hides. 0: a dead lens.
     pub fn doubt_waves(&self, lens: usize) -> f64 {
         let Some(Some(lens)) = self.lenses.get(lens) else { return 0.0 };
         let row = lens.terms.row(2);

@@ -1,8 +1,9 @@
 //! What a scan at several depths says of pupils: how far their wavefronts bend with depth, and to which side.
 //!
-//! Depths of a scan may lie farther apart than the depth of field. Values between them, interpolated pixel by pixel, are
-//! those of no optics then: a focus that widens and narrows again is a mixture of its neighbours. A pupil, fitted to the
-//! PSFs of one depth, predicts those between; what it leaves of the calibrated ones is small, and is interpolated.
+//! Depths of a scan may lie farther apart than the depth of field. Values between them, interpolated pixel by pixel,
+//! are those of no optics then: a focus that widens and narrows again is a mixture of its neighbours. A pupil, fitted
+//! to the PSFs of one depth, predicts those between; what it leaves of the calibrated ones is small, and is
+//! interpolated.
 
 use super::WAVELENGTH_UM;
 use super::change::{FAINT, PupilModel, chosen_nodes, light, window};

@@ -8,8 +8,8 @@
 //! with Noll's polynomials Z_2 to Z_11, whose coefficients c_k are quadratic in the place (y, x) of the source, and
 //! with a cut-off frequency and an apodisation a of its own (`fit`). Each lens is fitted by itself, and then with the
 //! apodisation and from the design that most lenses share, which counts where it explains the PSFs as well. Pupils are
-//! used only where they explain the PSFs ([`MOST_MISFIT`]), and then only for their *change* when the wavefront changes:
-//! the PSFs themselves stay the calibrated ones.
+//! used only where they explain the PSFs ([`MOST_MISFIT`]), and then only for their *change* when the wavefront
+//! changes: the PSFs themselves stay the calibrated ones.
 //!
 //! The wavefront `-W(-rho)` makes the same PSF as `W(rho)`: even terms (defocus, astigmatism, spherical aberration)
 //! have a sign that one plane cannot show. The lenses are taken to be alike, so that they share one sign, and the sign

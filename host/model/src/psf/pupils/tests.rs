@@ -107,8 +107,8 @@ fn fitted(psf: &LowRankPsf) -> PupilModel {
     PupilModel::fit(psf, 0, &[false; 3], Scale { magnification: 0.66, pixel_pitch_um: 2.0 }).unwrap()
 }
 
-/// A distortion of the third order displaces foci as no tilt does that is quadratic in the field. Left to the pupils, it
-/// is bought by other aberrations.
+/// A distortion of the third order displaces foci as no tilt does that is quadratic in the field. Left to the pupils,
+/// it is bought by other aberrations.
 #[test]
 fn where_foci_lie_is_none_of_the_pupils() {
     let plain = fitted(&calibrated()).summary();

@@ -1,5 +1,5 @@
-//! The bend of a sensor's response: the signal of a pixel is `m = L - beta L^2 / F`. L is the light that it would show if
-//! it were linear and F the full scale, both in DN above black.
+//! The bend of a sensor's response: the signal of a pixel is `m = L - beta L^2 / F`. L is the light that it would show
+//! if it were linear and F the full scale, both in DN above black.
 
 /// The bend of a response: `m = L - beta L^2 / F`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -14,8 +14,8 @@ pub(super) fn variance_error(level: &Summary) -> f64 {
     level.sigma.hypot(MODEL_ERROR * level.variance.max(ROUNDING_DN2))
 }
 
-/// The line `variance - 1/12 = slope * light + intercept`, light above black in DN, variance in DN^2. Where the response
-/// bends, `light` is that of a linear pixel, times the square of the slope of the response there.
+/// The line `variance - 1/12 = slope * light + intercept`, light above black in DN, variance in DN^2. Where the
+/// response bends, `light` is that of a linear pixel, times the square of the slope of the response there.
 pub(super) struct Transfer {
     /// Gain, DN per electron.
     pub slope: f64,
