@@ -5,7 +5,7 @@ use super::account::{
     within_calibration,
 };
 use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
-use super::data::{Fault, Observations, Shown, scaled_frames, unit_of_flats, unit_of_scenes};
+use super::data::{Fault, Observations, Shown, leave_lit_darks_out, scaled_frames, unit_of_flats, unit_of_scenes};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
     Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, orientation, pedestal,
@@ -29,8 +29,11 @@ pub fn close(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
+    check_unit(instrument, seen)?;
+    let of_darks = leave_lit_darks_out(seen, &instrument.noise);
     let mut closed = attempts(instrument, seen, options, &mut progress)?;
     let closing = &mut closed.account.closing;
+    closing.notes.splice(0..0, of_darks);
     let (verdict, note) = quiet(closing.verdict, closing.after, &closing.effects);
     (closing.verdict, closing.catalogue_incomplete) = (verdict, verdict != Verdict::Adequate);
     closing.notes.extend(note);
@@ -54,7 +57,6 @@ fn attempts(
     options: &CloseOptions<'_>,
     mut progress: impl FnMut(&str),
 ) -> Result<Closed, CloseError> {
-    check_unit(instrument, seen)?;
     estimate_specimens(instrument, seen);
     progress("records");
     let [mut faults, doubted] = wrong_records(instrument, seen)?;
@@ -111,11 +113,14 @@ pub fn residual(
         return Err(CloseError::Empty);
     }
     check_unit(instrument, seen)?;
+    let of_darks = leave_lit_darks_out(seen, &instrument.noise);
     estimate_specimens(instrument, seen);
     let [mut faults, doubted] = wrong_records(instrument, seen)?;
     exposures::correct_exposures(seen, &doubted);
     faults.extend(doubted);
-    judged(instrument, seen, faults, options)
+    let mut account = judged(instrument, seen, faults, options)?;
+    account.closing.notes.splice(0..0, of_darks);
+    Ok(account)
 }
 
 /// The account of a session without a search, with the faults of its records that were corrected.

@@ -9,7 +9,7 @@ mod registration;
 mod scaled;
 mod unit;
 
-pub(crate) use darks::bright_darks;
+pub(crate) use darks::{bright_darks, leave_lit_darks_out};
 pub use fault::{Fault, FaultKind};
 pub(crate) use observe::bead_is_held_out;
 pub use observe::{Budget, Frame, Observations, Shown};

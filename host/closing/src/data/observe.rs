@@ -184,6 +184,26 @@ impl Observations {
         }
     }
 
+    /// Leaves frames out.
+    pub(crate) fn leave_out(&mut self, which: impl Fn(&Frame) -> bool) {
+        let mut next = 0;
+        // Where each frame goes; None: it is left out.
+        let places: Vec<Option<usize>> = self
+            .frames
+            .iter()
+            .map(|f| {
+                let place = (!which(f)).then_some(next);
+                next += usize::from(place.is_some());
+                place
+            })
+            .collect();
+        let mut place = places.iter();
+        self.frames.retain(|_| place.next().is_some_and(Option::is_some));
+        for f in &mut self.frames {
+            f.previous = f.previous.and_then(|p| places[p]);
+        }
+    }
+
     /// Spatial blocks along each side of the sensor.
     pub(crate) fn blocks_per_side(&self) -> usize {
         self.blocks.len().isqrt()

@@ -9,11 +9,12 @@ use super::candidate::{AMBIGUOUS, Candidate, Found, PENALTY};
 use super::confirm::{Added, excess_left, fitted_beside, trace, weight, with};
 use super::finalists::alike;
 use super::scoring::score;
-use super::select::Search;
+use super::select::{SHADOW, Search};
 use super::trials::{Tried, evidence};
 use crate::fit::{Fitted, Term};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Kind;
+use std::cmp::Ordering;
 
 /// Number of effects that are tried in the place of one.
 const TRIED: usize = 2;
@@ -100,16 +101,23 @@ impl Search<'_, '_> {
     }
 
     /// By how much the deviance is lower with another effect in the place of `old`, each with the penalty of its
-    /// values, beyond what makes two effects ambiguous. A simpler one may be worse by what the law of an effect errs
-    /// by. 0 where held-out data are predicted worse by more than that.
+    /// values, beyond what makes two effects ambiguous. What the law of an effect errs by counts for the simpler one: it
+    /// may be worse by so much, and one of more values must be better by so much, since its freedom mends what is left
+    /// of any law. 0 where held-out data are predicted worse by more than that.
     fn saved(&self, old: &Term, without: &Fitted, (c, fit): (&Candidate, &Fitted)) -> f64 {
         let values = |t: &Term| Values::of(t, self.model.lenses());
         let (of_new, of_old) = (values(&c.term), values(old));
         let weight = weight(c.test.as_ref(), excess_left(without, [&self.now, fit]));
         let price = PENALTY * weight * (of_new.strengths as f64 - of_old.strengths as f64);
-        let margin = match of_new.all < of_old.all {
-            true => -trace(without.training.deviance - self.now.training.deviance),
-            false => AMBIGUOUS * weight,
+        let explained = without.training.deviance - self.now.training.deviance;
+        let of_law = trace(explained);
+        // Values for each lens follow any simpler effect, and what the law of that one leaves.
+        let is_of_lenses = of_new.strengths >= self.model.lenses() && self.model.lenses() > 1;
+        let left = if is_of_lenses { SHADOW * explained } else { of_law };
+        let margin = match of_new.all.cmp(&of_old.all) {
+            Ordering::Less => -of_law,
+            Ordering::Equal => AMBIGUOUS * weight,
+            Ordering::Greater => left.max(AMBIGUOUS * weight),
         };
         let fall = |of: fn(&Fitted) -> f64| of(&self.now) - of(fit);
         let is_worse = fall(|f| f.held_out.deviance) < margin.min(0.0);
