@@ -106,7 +106,8 @@ mod tests {
         let noise = |r: usize, c: usize| if (r * 7 + c * 13).is_multiple_of(2) { 8.0 } else { -8.0 };
         let scene = Array2::from_shape_fn((64, 64), |(r, c)| 100.0 + noise(r, c) + if c > 40 { 300.0 } else { 0.0 });
         let dark = Array2::from_shape_fn((64, 64), |(r, c)| dark_dn + noise(r, c));
-        let both = |role, shown, image: Array2<f32>| [(role, shown, image.clone()), (role, shown, image)];
+        let both =
+            |role, shown: Shown, image: Array2<f32>| [(role, shown.clone(), image.clone()), (role, shown, image)];
         let darks = both(Role::Dark, Shown::Dark, dark);
         let mut seen = observations(darks.into_iter().chain(both(Role::Scene, Shown::Object(0), scene)).collect());
         for (k, f) in seen.frames.iter_mut().enumerate() {
