@@ -28,8 +28,9 @@ const ALIKE: f64 = 0.8;
 /// that the scenes usually leave, and this much of its own. What misses a source at its edge leaves more.
 const AS_USUAL: f64 = 4.0;
 const SLACK: f64 = 0.01;
-/// It changes all parts of a frame alike: the factor is so many times its standard error by the scatter of [`PARTS`] x
-/// [`PARTS`] parts. Light that falls into a frame from elsewhere is not even.
+/// It changes all parts of a frame alike: their mean factor, of [`PARTS`] x [`PARTS`] parts, differs from 1 by more than
+/// [`LIGHT`] as well, and by so many times its standard error by their scatter. Light that falls into a frame from
+/// elsewhere is not even.
 const EVEN: f64 = 4.0;
 const PARTS: usize = 3;
 
@@ -164,7 +165,8 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     }
     let parts: Vec<Parts> = frames.par_iter().map(Parts::of).collect();
     for (i, (s, factor)) in frames.iter().zip(factors).enumerate() {
-        if stands_out(i, factor) && unlike(factor) > EVEN * parts[i].error(&parts) {
+        let [even, error] = parts[i].factor(&parts);
+        if stands_out(i, factor) && unlike(even) > LIGHT.max(EVEN * error) {
             let r = correlation(&s.measured, &s.own);
             let kind = FaultKind::Exposure { factor };
             faults.push(Fault {
@@ -196,9 +198,9 @@ impl Parts {
         Self((0..PARTS * PARTS).map(of).collect())
     }
 
-    /// Standard error of the light of the frame relative to that of all frames, from the scatter of the parts. 0 where
-    /// the light is in one part.
-    fn error(&self, all: &[Self]) -> f64 {
+    /// The light of the frame relative to that of all frames, as the parts say, and its standard error from their
+    /// scatter. That is 0 where the light is in one part.
+    fn factor(&self, all: &[Self]) -> [f64; 2] {
         let usual = |k: usize| median(all.iter().map(|of| of.0[k]).filter(|p| p[1] > 0.0).map(|p| p[0]).collect());
         let relative: Vec<[f64; 2]> = (self.0.iter().enumerate())
             .filter_map(|(k, [slope, weight])| Some([slope / usual(k).filter(|v| *v > 0.0)?, *weight]))
@@ -209,7 +211,7 @@ impl Parts {
         let variance = sum(&|p| p[1] * (p[0] - mean).powi(2)) / weights;
         // So many parts of one weight would say as much.
         let count = weights * weights / sum(&|p| p[1] * p[1]).max(1e-30);
-        if count < 1.5 { 0.0 } else { (variance / (count - 1.0)).sqrt() }
+        [mean, if count < 1.5 { 0.0 } else { (variance / (count - 1.0)).sqrt() }]
     }
 }
 
@@ -361,19 +363,20 @@ mod tests {
 
     #[test]
     fn light_from_elsewhere_in_one_frame_is_no_wrong_exposure() {
-        let (observations, mut seen) = scenes(0.0, |k| if k == 2 { 1.1 } else { 1.0 });
-        assert_eq!(exposures(&observations, &seen).len(), 1);
-        // A gradient of light has changed the slope by as much.
-        let (_, plain) = scenes(0.0, |_| 1.0);
-        let own = plain[2].own.clone();
-        let mean = own.mean().unwrap();
-        for strength in [0.3, 0.6] {
-            seen[2].measured = Array2::from_shape_fn(own.dim(), |at| {
-                own[at] + strength * mean * (at.1 as f32 - 48.0) / 48.0 * if at.0 < 60 { 4.0 } else { -1.0 }
-            });
-            let slope = slopes(&seen)[2][0];
-            assert!(exposures(&observations, &seen).is_empty(), "{strength} {slope}");
+        let (mut observations, mut seen) = scenes(0.0, |k| if k == 2 { 1.1 } else { 1.0 });
+        for truth in &mut observations.truths {
+            truth.fill(0.0);
+            truth[[4, 4]] = 1.0;
         }
+        assert_eq!(exposures(&observations, &seen).len(), 1);
+        // A gradient of light, stronger where the specimen is brighter: the slope changes by more than doubt begins at.
+        let own = Array2::from_shape_fn((96, 96), |(r, c)| seen[2].own[[r, c]] * c as f32 / 48.0);
+        let mean = own.mean().unwrap();
+        seen[2].measured = Array2::from_shape_fn((96, 96), |(r, c)| own[[r, c]] + 0.2 * mean * c as f32 / 48.0);
+        seen[2].own = own;
+        let [slope, r] = slopes(&seen)[2];
+        assert!(slope > 1.0 + LIGHT && r > 1.0 - SLACK, "{slope} {r}");
+        assert!(exposures(&observations, &seen).is_empty(), "{slope} {r}");
     }
 
     #[test]
