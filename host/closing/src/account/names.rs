@@ -60,11 +60,8 @@ impl Names {
     /// strength differs from frame to frame or over the sensor, and where the noise still has structure.
     pub(crate) fn of(all: Vec<Effect>, judged: Judged<'_>) -> Self {
         let found = |e: &Effect| judged.found.iter().find(|(f, _)| f.id == e.id);
-        let strongest = judged.found.iter().map(|(f, _)| f.held_out_gain).fold(0.0, f64::max);
-        let is_much = |e: &Effect| found(e).is_some_and(|(f, _)| f.held_out_gain > TENTH * strongest);
         // Darks and even light prove a table pixel by pixel, whatever is left of the scenes. Nothing but blurred truths
-        // makes scenes sharper by more than any effect of the optics, and their blur is no Gaussian; a little sharper
-        // they may be where the law of a stronger effect errs.
+        // makes scenes sharper by more than any effect of the optics, and their blur is no Gaussian.
         let may_imitate = |e: &Effect| {
             let proved =
                 |effect: &&dyn physics::Effect| effect.table().is_some() || effect.is_of_truths() && is_much(e);
