@@ -50,8 +50,9 @@ pub(super) fn begin() {
     isb();
 }
 
-/// The guard was written to. The handler needs a stack, so the protection unit is turned off first. Where the core could
-/// not even store its registers it has raised a hard fault instead, whose handler runs without the protection unit.
+/// The guard was written to. The handler needs a stack, so the protection unit is turned off first. Where the core
+/// could not even store its registers it has raised a hard fault instead, whose handler runs without the protection
+/// unit.
 #[unsafe(naked)]
 #[unsafe(no_mangle)]
 unsafe extern "C" fn MemoryManagement() {

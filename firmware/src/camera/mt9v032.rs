@@ -198,8 +198,8 @@ impl<B: I2c> ImageSensor for Mt9v032<B> {
     }
 
     /// Writes every register that differs from what it is after a reset, so that a sensor that was without power for a
-    /// moment is as it was. What changes frames by itself is off: automatic exposure, automatic gain, and the correction
-    /// of row noise, which the calibration measures.
+    /// moment is as it was. What changes frames by itself is off: automatic exposure, automatic gain, and the
+    /// correction of row noise, which the calibration measures.
     fn apply(&mut self, settings: &CameraSettings) -> Result<(), B::Error> {
         let SensorRegion { row, col, rows, cols, bin } = settings.region;
         let (rows, cols, log2) = (rows * bin, cols * bin, bin.trailing_zeros() as u16);

@@ -25,8 +25,8 @@ pub(super) struct Shutter {
     next: u32,
     frames: u32,
     failed_frames: u32,
-    /// The sensor may have other settings than those in force: it did not take them, or did not deliver a frame. Maybe it
-    /// was without power for a moment.
+    /// The sensor may have other settings than those in force: it did not take them, or did not deliver a frame. Maybe
+    /// it was without power for a moment.
     stale: bool,
     lit_us: u64,
     /// Since when the LED is lit.
@@ -128,8 +128,8 @@ impl Shutter {
         Refusal::NoFrame { waited_ms: ms(since(camera, start_us)) }
     }
 
-    /// Waits for the first place in the grid that is not over, and returns its number. That is one interval away at most
-    /// unless the clock has stepped back: then a new grid begins.
+    /// Waits for the first place in the grid that is not over, and returns its number. That is one interval away at
+    /// most unless the clock has stepped back: then a new grid begins.
     fn wait_for_place(&mut self, camera: &dyn Camera, interval_us: u32, alive: &mut dyn FnMut()) -> u32 {
         let interval = u64::from(interval_us.max(1));
         let passed = since(camera, self.origin_us);
@@ -187,8 +187,8 @@ impl Shutter {
     }
 }
 
-/// Time since `start_us`. A clock before it has stepped back; any wait is over then, for the watchdog is fed during waits
-/// and would not end it.
+/// Time since `start_us`. A clock before it has stepped back; any wait is over then, for the watchdog is fed during
+/// waits and would not end it.
 fn since(camera: &dyn Camera, start_us: u64) -> u64 {
     camera.now_us().checked_sub(start_us).unwrap_or(u64::MAX)
 }

@@ -10,11 +10,11 @@
 //! | 1 + n | the same for slot B |
 //! | 2 | unused; earlier versions counted the starts there |
 //!
-//! A new file goes to the slot that is not active, or, where none is, to the one without the newest file. The old mark of that slot is erased first. The new mark is written
-//! last, after every bit of the file was checked in place. So one slot holds a complete file with its mark whenever the
-//! power fails. At a start the length and the checksum in the mark are compared with the file, and every bit of the
-//! file is checked. Where that fails, the other slot becomes active. A start writes nothing, so that no failure of the
-//! power during a start can damage the flash.
+//! A new file goes to the slot that is not active, or, where none is, to the one without the newest file. The old mark
+//! of that slot is erased first. The new mark is written last, after every bit of the file was checked in place. So one
+//! slot holds a complete file with its mark whenever the power fails. At a start the length and the checksum in the
+//! mark are compared with the file, and every bit of the file is checked. Where that fails, the other slot becomes
+//! active. A start writes nothing, so that no failure of the power during a start can damage the flash.
 //!
 //! ```
 //! use ommatidia_shared::flash::{RAM_SECTOR, RamFlash, Slot, Slots};

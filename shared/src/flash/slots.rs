@@ -155,8 +155,8 @@ impl<F: MappedFlash> Slots<F> {
     /// Writes the mark of the finished file and makes it the active one, now and after the next start.
     ///
     /// # Errors
-    /// [`IoError::Failed`] where no file was finished or neither copy of the mark could be written. The file is then not
-    /// active, now or later.
+    /// [`IoError::Failed`] where no file was finished or neither copy of the mark could be written. The file is then
+    /// not active, now or later.
     pub fn commit(&mut self) -> Result<(), IoError> {
         let Staged { slot, len, .. } = self.staged.take().ok_or(IoError::Failed)?;
         let newest = self.committed()[0].map_or(0, |(_, mark)| mark.generation);

@@ -1,5 +1,5 @@
-//! I2C1 with a limit to every wait (ST RM0433, chapter 47). The driver of embassy-stm32 sets up pins and timing; without
-//! its time driver it waits without end for a bus that is stuck, or whose sensor has no power.
+//! I2C1 with a limit to every wait (ST RM0433, chapter 47). The driver of embassy-stm32 sets up pins and timing;
+//! without its time driver it waits without end for a bus that is stuck, or whose sensor has no power.
 
 use super::clock;
 use embassy_stm32::Peri;

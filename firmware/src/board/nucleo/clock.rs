@@ -11,8 +11,8 @@ pub(super) const TICK_US: u32 = 5_000;
 
 static ACCOUNT: Account<1000> = Account::new();
 
-/// Starts the clock and the tick, which is handled in [`super::light`], of a core of `core_mhz`. The timers of APB1 have
-/// twice the clock of the bus, half that of the core (ST RM0433, section 8.5.5).
+/// Starts the clock and the tick, which is handled in [`super::light`], of a core of `core_mhz`. The timers of APB1
+/// have twice the clock of the bus, half that of the core (ST RM0433, section 8.5.5).
 pub(super) fn begin(mut tick: SYST, core_mhz: u16) {
     RCC.apb1lenr().modify(|w| w.set_tim2en(true));
     TIM2.psc().write_value(core_mhz / 2 - 1);

@@ -67,8 +67,8 @@ pub struct StreamReport {
     /// The frame since which the optics have moved, by the watch of the device; `None` without an alarm, or where it is
     /// from before this stream.
     pub moved_since: Option<usize>,
-    /// Of a camera: its settings and figures at the end, and the frames of its grid that were not taken between two that
-    /// were. A restart of the device begins another grid.
+    /// Of a camera: its settings and figures at the end, and the frames of its grid that were not taken between two
+    /// that were. A restart of the device begins another grid.
     pub camera: Option<(CameraStatus, u32)>,
 }
 
@@ -94,8 +94,8 @@ pub struct FrameFeed<'a> {
     pub source: Frames<'a>,
 }
 
-/// Streams frames through the device; `show` receives each reconstruction as it arrives, and none is kept. A device that
-/// is restarted meanwhile gets the settings of its camera again.
+/// Streams frames through the device; `show` receives each reconstruction as it arrives, and none is kept. A device
+/// that is restarted meanwhile gets the settings of its camera again.
 ///
 /// # Errors
 /// The device cannot be started, refuses a request, or fails on several consecutive frames; its camera has other

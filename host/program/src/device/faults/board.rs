@@ -82,8 +82,8 @@ pub(super) fn hung(watchdogs: &[Firmware]) -> Result<Row, DeviceError> {
     Ok(tally.row("the program hangs", "once on each of the three; the watchdog of the emulated board resets it"))
 }
 
-/// Lets a program meet a fault of the bus: first where it expects one, then where it does not; and a stack too deep. After
-/// three starts that ended so the fourth finds that they keep doing it.
+/// Lets a program meet a fault of the bus: first where it expects one, then where it does not; and a stack too deep.
+/// After three starts that ended so the fourth finds that they keep doing it.
 pub(super) fn faulting(images: &[Firmware]) -> Result<Row, DeviceError> {
     let mut tally = Tally::default();
     for image in images {
