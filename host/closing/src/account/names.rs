@@ -17,6 +17,11 @@ const TENTH: f64 = 0.1;
 /// The effect whose offsets are independent from row to row.
 pub(crate) const ROW_NOISE: &str = "row_noise";
 
+/// An effect of less evidence than this (z) has no name if all its strengths are within so many of their errors of none.
+/// The evidence knows the noise and the replicates of the calibration, the errors also what their law leaves.
+const FAINT: f64 = 6.0;
+const WITHIN: f64 = 3.0;
+
 /// A strength is at the end of its range if it lies this close to it, relative.
 const END: f64 = 1e-3;
 
@@ -63,8 +68,7 @@ impl Names {
         // Darks and even light prove a table pixel by pixel, whatever is left of the scenes. Nothing but blurred truths
         // makes scenes sharper by more than any effect of the optics, and their blur is no Gaussian.
         let may_imitate = |e: &Effect| {
-            let proved =
-                |effect: &&dyn physics::Effect| effect.table().is_some() || effect.is_of_truths() && is_much(e);
+            let proved = |effect: &&dyn physics::Effect| effect.table().is_some() || effect.is_of_truths();
             claims_a_cause(e, judged.recalibrated) && !find(&e.id).is_some_and(|effect| proved(&effect))
         };
         let objection = |e: &Effect| found(e).and_then(|(_, constancy)| constancy.objection(judged.psf_error));
@@ -84,6 +88,12 @@ impl Names {
                 None
             } else if let Some(share) = whole_share(&effect) {
                 Some(format!("{share} is all of the light: it imitates the cause"))
+            } else if effect.z < FAINT && is_within_errors(&effect) {
+                Some(format!(
+                    "its evidence is faint (z = {:.1}), and with the error of the calibration its strength is less than \
+                     {WITHIN} errors from none",
+                    effect.z
+                ))
             } else if let Some(rows) = judged.rows_wave.filter(|_| effect.id == ROW_NOISE) {
                 Some(format!(
                     "the offsets of the rows follow a wave of {rows:.1} rows, with another phase in each frame, and \
@@ -182,6 +192,14 @@ impl Names {
             )
         })
     }
+}
+
+/// Whether all strengths of an effect are within [`WITHIN`] of their errors of none. Not those that each lens has.
+fn is_within_errors(effect: &Effect) -> bool {
+    let params = find(&effect.id).map_or(&[][..], |e| e.descriptor().params);
+    let is_strength = |v: &&Value| params.iter().any(|p| p.name == v.name && p.is_strength());
+    let mut strengths = effect.params.iter().filter(is_strength).peekable();
+    strengths.peek().is_some() && strengths.all(|v| v.value.abs() < WITHIN * v.sigma)
 }
 
 /// Strengths of an effect that are at an end of their range, each with the end.
@@ -336,6 +354,25 @@ mod tests {
         };
         assert_eq!(named(None).effects.len(), 1);
         assert!(named(Some(12.3)).nearest[0].why.contains("12.3 rows"));
+    }
+
+    #[test]
+    fn faint_evidence_names_nothing_that_its_error_does_not_tell_from_none() {
+        let (halo, none) = (found("halo", 1e3), Constancy::default());
+        let named = |z: f64, value: f64| {
+            let value = Value { name: "weight".into(), value, sigma: 7e-4, sigma_noise: 4e-4, unit: "1".into() };
+            let judged = Judged {
+                found: &[(&halo, none)],
+                left: Left::default(),
+                noise_is_left: false,
+                rows_wave: None,
+                psf_error: 0.0,
+                recalibrated: false,
+            };
+            Names::of(vec![Effect { z, params: vec![value], ..effect("halo") }], judged)
+        };
+        assert!(named(4.0, 1.6e-3).nearest[0].why.contains("faint (z = 4.0)"));
+        assert_eq!((named(4.0, 3e-3).effects.len(), named(9.0, 1.6e-3).effects.len()), (1, 1));
     }
 
     #[test]

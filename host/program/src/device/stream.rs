@@ -164,24 +164,28 @@ fn stream_over<T: Transport>(
             }
             Err(error) => {
                 in_a_row += 1;
-                match loss(&error) {
-                    Some(loss) if in_a_row < FAILURES => {
-                        failed += usize::from(loss == Loss::Line);
-                        undelivered += usize::from(loss == Loss::Sensor);
-                    }
-                    _ => return Err(error),
-                }
+                let Some(loss) = loss(&error).filter(|_| in_a_row < FAILURES) else { return Err(error) };
                 session.resume(&mut client)?;
+                match loss {
+                    // The device may hold statistics of a damaged frame: the hello makes it forget them.
+                    Loss::Line => (failed, _) = (failed + 1, client.hello()?),
+                    Loss::Sensor => undelivered += 1,
+                    Loss::Restart => {}
+                }
             }
         }
         next = frame + feed.nth;
     }
     let took = start.elapsed();
-    session.resume(&mut client)?;
-    let telemetry = client.telemetry()?;
+    let (telemetry, status) = loop {
+        session.resume(&mut client)?;
+        match figures(&mut client, change.is_some()) {
+            Err(DeviceError::Refused(Refusal::NoHello)) => {}
+            figures => break figures?,
+        }
+    };
     let moved_since = telemetry.watch.alarm.map(|alarm| alarm.since.wrapping_sub(first_id) as usize);
     let moved_since = moved_since.filter(|frame| *frame < next);
-    let camera = if change.is_some() { Some((client.camera(CameraChange::default())?, missed)) } else { None };
     let report = StreamReport {
         board: info.board.as_str().into(),
         reconstructed,
@@ -193,9 +197,18 @@ fn stream_over<T: Transport>(
         took,
         telemetry,
         moved_since,
-        camera,
+        camera: status.map(|status| (status, missed)),
     };
     Ok((report, client.quit()))
+}
+
+/// What the device says at the end of a stream.
+fn figures<T: Transport>(
+    client: &mut Client<T>,
+    of_camera: bool,
+) -> Result<(Telemetry, Option<CameraStatus>), DeviceError> {
+    let telemetry = client.telemetry()?;
+    Ok((telemetry, if of_camera { Some(client.camera(CameraChange::default())?) } else { None }))
 }
 
 /// What a stream needs of the device, at its start and after each restart.
@@ -228,19 +241,16 @@ impl Session<'_> {
         Ok(())
     }
 
-    /// Greets the device again. One that was restarted is prepared again, and counted.
+    /// Greets and prepares a device that was restarted, and counts it; leaves another one as it is.
     fn resume<T: Transport>(&mut self, client: &mut Client<T>) -> anyhow::Result<()> {
-        let restarted = match client.telemetry() {
-            Ok(_) => false,
-            Err(DeviceError::Refused(Refusal::NoHello)) => true,
-            Err(error) => return Err(error.into()),
-        };
-        let info = client.hello()?;
-        if restarted {
-            self.restarts += 1;
-            self.prepare(client, &info)?;
+        match client.telemetry() {
+            Err(DeviceError::Refused(Refusal::NoHello)) => {
+                self.restarts += 1;
+                let info = client.hello()?;
+                self.prepare(client, &info)
+            }
+            other => Ok(other.map(|_| ())?),
         }
-        Ok(())
     }
 
     /// A frame of the camera was taken with the settings of the start.

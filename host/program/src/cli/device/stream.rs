@@ -160,8 +160,8 @@ fn outcome(report: &StreamReport, came: usize, place: Place) -> Outcome {
     });
     let text = format!(
         "board         {}\nframes        {came} arrived, {shown} reconstructed, {} dropped ({} of them lost on the \
-            line, {} not delivered by the sensor), {left_out} skipped by --every\nfield         {}\nrate          {rate:.2} frames per \
-            second\nawake         {}\n",
+            line, {} not delivered by the sensor), {left_out} skipped by --every\nfield         {}\n\
+            rate          {rate:.2} frames per second\nawake         {}\n",
         place.board(&report.board),
         report.dropped,
         report.failed,
