@@ -326,11 +326,6 @@ mod tests {
         it.disown(false);
         assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("unknown_factor", "hot_pixels"));
         assert_eq!((it.effects.len(), it.nearest.len()), (1, 1));
-        // A blur of the truths that explains little beside a leak, and not the same everywhere, is no cause.
-        let uneven = Constancy { frames: Spread { tau: 0.7, z: 9.0, resolution: 0.05 }, ..Constancy::default() };
-        let [leak, blur] = [found("lens_leakage", 9e3), found("truth_blur", 3e2)];
-        let it = names(&[(&leak, none), (&blur, uneven)], Left::default(), false);
-        assert_eq!((it.effects[0].id.as_str(), it.nearest[0].id.as_str()), ("lens_leakage", "truth_blur"));
         // Nor are truths in doubt that are blurred so much that no model describes their scenes.
         let (truths, much) = (found("truth_blur", 9e3), Left { judged: 0.9, even: 0.0, much: true });
         let mut it = names(&[(&truths, none)], much, false);
