@@ -2,8 +2,7 @@
 //!
 //! What a strong effect leaves because its law errs looks a little like many effects of the catalogue, and fits none of
 //! them: beside each of them structure stays. So an effect that explains far less than a stronger one is named all the
-//! same where it does not resemble that one, and no test sees any structure beside it. A blur of the truths is not: a
-//! law that errs makes scenes a little sharper or softer, too.
+//! same where it does not resemble that one, and no test sees any structure beside it.
 
 use super::confirm::{Added, fitted_beside, with};
 use super::finalists::alike;
@@ -11,7 +10,6 @@ use super::select::Search;
 use super::trials::Tried;
 use crate::fit::Fitted;
 use ommatidia_model::forward::ForwardError;
-use ommatidia_physics::effects::find;
 
 impl Search<'_, '_> {
     /// Adds effects in the shadow of stronger ones, those that explain most first, until `is_noise` says of the fit
@@ -28,11 +26,10 @@ impl Search<'_, '_> {
         if self.now.state.specimens.is_some() {
             return Ok(false);
         }
-        let can_be_named = |id: &str| !id.starts_with("unknown") && !find(id).is_some_and(|e| e.is_of_truths());
         let (now, found) = (self.now.clone(), self.found.clone());
         let mut order = self.shadowed.clone();
         order.sort_by(|a, b| b.share.total_cmp(&a.share));
-        for id in order.iter().map(|s| s.id).filter(|id| can_be_named(id)) {
+        for id in order.iter().map(|s| s.id).filter(|id| !id.starts_with("unknown")) {
             if self.is_full(Tried::Catalogue) {
                 break;
             }
