@@ -2,7 +2,6 @@
 //! reset nor the start-up code clears.
 #![allow(unsafe_code)] // a section of its own
 
-use super::guard;
 use crate::start::Start;
 use core::sync::atomic::{AtomicU32, Ordering::Relaxed};
 use cortex_m::peripheral::SCB;
@@ -31,9 +30,8 @@ struct Note {
 }
 
 /// Counts this start, and reads why the one before ended. `watchdog`: whether the hardware says that the watchdog has
-/// reset the board. From here on a stack too deep is a fault. To be called once.
+/// reset the board. To be called once.
 pub(super) fn begin(watchdog: bool) -> Start {
-    guard::begin();
     if NOTE.key.swap(KEY, Relaxed) != KEY {
         [&NOTE.cause, &NOTE.starts, &NOTE.faults].iter().for_each(|field| field.store(0, Relaxed));
     }
@@ -72,7 +70,7 @@ fn reset(cause: u32) -> ! {
 }
 
 /// Every fault of the core: a word of the flash that cannot be read, an address without memory, a stack too deep
-/// ([`guard`]). The next start checks the network again; where starts keep ending so, none runs.
+/// (`guard`). The next start checks the network again; where starts keep ending so, none runs.
 #[exception]
 unsafe fn HardFault(_: &ExceptionFrame) -> ! {
     fault()

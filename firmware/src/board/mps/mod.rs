@@ -13,7 +13,7 @@ pub use memory::footprint;
 pub use uart::Uart;
 pub use watchdog::Dog;
 
-use super::{float, masked, restart};
+use super::{float, guard, masked, restart};
 use crate::app::Parts;
 use crate::start::Start;
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -61,8 +61,9 @@ pub fn take() -> Option<Parts<'static, Uart, Led, RamFlash<'static>, Dog, Virtua
     })
 }
 
-/// How the program was started. To be called once.
+/// How the program was started. From here on a stack too deep is a fault. To be called once.
 pub fn start() -> Start {
+    guard::begin();
     // The watchdog resets this board through the program, which leaves a note.
     restart::begin(false)
 }

@@ -32,7 +32,7 @@ pub use flash::InternalFlash;
 pub use link::Link;
 pub use memory::footprint;
 
-use super::{float, restart};
+use super::{float, guard, restart};
 use crate::app::Parts;
 use crate::log;
 use crate::start::Start;
@@ -140,8 +140,9 @@ fn enable_memories() {
     });
 }
 
-/// How the program was started. The flags of the last reset are cleared.
+/// How the program was started. The flags of the last reset are cleared. From here on a stack too deep is a fault.
 fn start() -> Start {
+    guard::begin();
     let hung = pac::RCC.rsr().read().iwdg1rstf();
     pac::RCC.rsr().modify(|w| w.set_rmvf(true));
     restart::begin(hung)

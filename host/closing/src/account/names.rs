@@ -17,8 +17,8 @@ const TENTH: f64 = 0.1;
 /// The effect whose offsets are independent from row to row.
 pub(crate) const ROW_NOISE: &str = "row_noise";
 
-/// An effect of less evidence than this (z) has no name if all its strengths are within so many of their errors of none.
-/// The evidence knows the noise and the replicates of the calibration, the errors also what their law leaves.
+/// An effect of less evidence than this (z) has no name if all its strengths are within so many of their errors of
+/// none. The evidence knows the noise and the replicates of the calibration, the errors also what their law leaves.
 const FAINT: f64 = 6.0;
 const WITHIN: f64 = 3.0;
 

@@ -28,8 +28,8 @@ const ALIKE: f64 = 0.8;
 /// that the scenes usually leave, and this much of its own. What misses a source at its edge leaves more.
 const AS_USUAL: f64 = 4.0;
 const SLACK: f64 = 0.01;
-/// It changes all parts of a frame alike: their mean factor, of [`PARTS`] x [`PARTS`] parts, differs from 1 by more than
-/// [`LIGHT`] as well, and by so many times its standard error by their scatter. Light that falls into a frame from
+/// It changes all parts of a frame alike: their mean factor, of [`PARTS`] x [`PARTS`] parts, differs from 1 by more
+/// than [`LIGHT`] as well, and by so many times its standard error by their scatter. Light that falls into a frame from
 /// elsewhere is not even.
 const EVEN: f64 = 4.0;
 const PARTS: usize = 3;

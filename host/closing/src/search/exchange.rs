@@ -101,9 +101,9 @@ impl Search<'_, '_> {
     }
 
     /// By how much the deviance is lower with another effect in the place of `old`, each with the penalty of its
-    /// values, beyond what makes two effects ambiguous. What the law of an effect errs by counts for the simpler one: it
-    /// may be worse by so much, and one of more values must be better by so much, since its freedom mends what is left
-    /// of any law. 0 where held-out data are predicted worse by more than that.
+    /// values, beyond what makes two effects ambiguous. What the law of an effect errs by counts for the simpler one:
+    /// it may be worse by so much, and one of more values must be better by so much, since its freedom mends what is
+    /// left of any law. 0 where held-out data are predicted worse by more than that.
     fn saved(&self, old: &Term, without: &Fitted, (c, fit): (&Candidate, &Fitted)) -> f64 {
         let values = |t: &Term| Values::of(t, self.model.lenses());
         let (of_new, of_old) = (values(&c.term), values(old));
