@@ -29,8 +29,7 @@ pub fn close(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
-    check_unit(instrument, seen)?;
-    let of_darks = leave_lit_darks_out(seen, &instrument.noise);
+    let of_darks = screened(instrument, seen)?;
     let mut closed = attempts(instrument, seen, options, &mut progress)?;
     let closing = &mut closed.account.closing;
     closing.notes.splice(0..0, of_darks);
@@ -41,12 +40,16 @@ pub fn close(
 }
 
 /// Refuses a session whose frames a program has changed, or whose flats show that its frames are in another unit than
-/// those of the calibration.
-fn check_unit(instrument: &Instrument, seen: &Observations) -> Result<(), CloseError> {
-    if let Some(scaled) = scaled_frames(seen, &instrument.noise) {
+/// those of the calibration. Leaves out darks that light has reached, and says so.
+fn screened(instrument: &Instrument, seen: &mut Observations) -> Result<Vec<String>, CloseError> {
+    let noise = &instrument.noise;
+    if let Some(scaled) = scaled_frames(seen, noise) {
         return Err(CloseError::Scaled(scaled));
     }
-    unit_of_flats(seen, &instrument.noise).map_or(Ok(()), |other| Err(CloseError::OtherUnit(other)))
+    if let Some(other) = unit_of_flats(seen, noise) {
+        return Err(CloseError::OtherUnit(other));
+    }
+    Ok(leave_lit_darks_out(seen, noise))
 }
 
 /// One attempt with the records as they are, and another one where the first does not explain exposures that are in
@@ -112,8 +115,7 @@ pub fn residual(
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
-    check_unit(instrument, seen)?;
-    let of_darks = leave_lit_darks_out(seen, &instrument.noise);
+    let of_darks = screened(instrument, seen)?;
     estimate_specimens(instrument, seen);
     let [mut faults, doubted] = wrong_records(instrument, seen)?;
     exposures::correct_exposures(seen, &doubted);

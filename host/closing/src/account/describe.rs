@@ -228,9 +228,11 @@ pub(crate) fn rejected(model: &Model<'_>, rest: &[Candidate], now: &Accepted<'_>
             sigma: first.map(|f| p.outer_sigma(0.0, f.sigma)).filter(|_| testable),
             unit: p.unit.into(),
             z: test.map_or(0.0, |t| t.z),
-            needs: (!testable).then(|| {
-                let needs = if misplaced { MISPLACED } else { needs(d.stage, d.id) };
-                if absorbed { OWN_BEADS } else { needs }.into()
+            needs: (!testable).then(|| match found.iter().find(|f| f.ambiguity.iter().any(|a| a.id == d.id)) {
+                _ if absorbed => OWN_BEADS.into(),
+                _ if misplaced => MISPLACED.into(),
+                Some(f) => format!("`{}`, which was found, explains the same; {}", f.id, separate(f.id, d.id)),
+                None => needs(d.stage, d.id).into(),
             }),
         });
     }

@@ -270,6 +270,18 @@ mod tests {
     use super::*;
     use crate::evidence::Spread;
 
+    /// Nothing is left beside what was found.
+    fn judged<'a>(found: &'a [(&'a Found, Constancy)]) -> Judged<'a> {
+        Judged {
+            found,
+            left: Left::default(),
+            noise_is_left: false,
+            rows_wave: None,
+            psf_error: 0.0,
+            recalibrated: false,
+        }
+    }
+
     fn effect(id: &str) -> Effect {
         Effect {
             id: id.into(),
@@ -302,7 +314,7 @@ mod tests {
 
     fn names(of: &[(&Found, Constancy)], left: Left, noise_is_left: bool) -> Names {
         let all = of.iter().map(|(f, _)| effect(f.id)).collect();
-        Names::of(all, Judged { found: of, left, noise_is_left, rows_wave: None, psf_error: 0.0, recalibrated: false })
+        Names::of(all, Judged { left, noise_is_left, ..judged(of) })
     }
 
     #[test]
@@ -337,14 +349,8 @@ mod tests {
     fn the_rows_of_interference_are_no_row_noise() {
         let (noise, none) = (found("row_noise", 1e2), Constancy::default());
         let named = |rows_wave| {
-            let judged = Judged {
-                found: &[(&noise, none)],
-                left: Left::default(),
-                noise_is_left: false,
-                rows_wave,
-                psf_error: 0.0,
-                recalibrated: false,
-            };
+            let found = [(&noise, none)];
+            let judged = Judged { rows_wave, ..judged(&found) };
             Names::of(vec![effect("row_noise")], judged)
         };
         assert_eq!(named(None).effects.len(), 1);
@@ -356,14 +362,8 @@ mod tests {
         let (halo, none) = (found("halo", 1e3), Constancy::default());
         let named = |z: f64, value: f64| {
             let value = Value { name: "weight".into(), value, sigma: 7e-4, sigma_noise: 4e-4, unit: "1".into() };
-            let judged = Judged {
-                found: &[(&halo, none)],
-                left: Left::default(),
-                noise_is_left: false,
-                rows_wave: None,
-                psf_error: 0.0,
-                recalibrated: false,
-            };
+            let found = [(&halo, none)];
+            let judged = judged(&found);
             Names::of(vec![Effect { z, params: vec![value], ..effect("halo") }], judged)
         };
         assert!(named(4.0, 1.6e-3).nearest[0].why.contains("faint (z = 4.0)"));
@@ -375,14 +375,8 @@ mod tests {
         let (halo, none) = (found("halo", 1e3), Constancy::default());
         let of = |value: f64| {
             let value = Value { name: "weight".into(), value, sigma: 0.1, sigma_noise: 0.1, unit: "1".into() };
-            let judged = Judged {
-                found: &[(&halo, none)],
-                left: Left::default(),
-                noise_is_left: false,
-                rows_wave: None,
-                psf_error: 0.0,
-                recalibrated: false,
-            };
+            let found = [(&halo, none)];
+            let judged = judged(&found);
             Names::of(vec![Effect { params: vec![value], ..effect("halo") }], judged)
         };
         assert_eq!(of(0.4).effects.len(), 1);
