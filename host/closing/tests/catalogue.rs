@@ -166,6 +166,23 @@ fn a_weak_gamma() {
     whole("camera_gamma", &[("gamma", 1.006)], 916);
 }
 
+/// Half of the session is of another day, or something was knocked.
+#[test]
+fn an_array_that_jumps_between_two_frames() {
+    let stacks = &subject().config.stacks;
+    let since_s = 1e-3 * stacks.interval_ms * (stacks.scene_frames as f64 / 2.0 - 0.5);
+    let params = [("row_px", 0.3), ("col_px", -0.2), ("since_s", since_s)];
+    let closing = closed(&subject().config, &WHOLE, Some(EffectSetting::new("array_jump", &params)), 980);
+    is_named(&closing, "array_jump", &params);
+    assert!(closing.effects[0].description.contains("since_s"), "{}", closing.effects[0].description);
+}
+
+/// About a point 9 px beside the centre of the array.
+#[test]
+fn a_sensor_that_turned_about_another_point() {
+    whole("sensor_rotation", &[("angle_mrad", 12.0), ("row_px", 0.06), ("col_px", -0.09)], 981);
+}
+
 #[test]
 fn a_tilted_specimen() {
     whole("tilt", &[("row_um_per_mm", 150.0), ("col_um_per_mm", -250.0)], 903);

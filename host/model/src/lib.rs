@@ -9,7 +9,6 @@
 //! | [`calibrate`] | the act: session -> instrument |
 //! | [`check`] | looks at a session before it is calibrated |
 //! | [`dataset`] | instrument -> training pairs on disk |
-//! | `interpolation` | the one kernel that interpolates images between their pixels |
 //! | [`metrics`] | figures of merit: PSNR, SSIM, NRMSE, PCC, chi2 |
 //! | [`slopes`] | a plane over a frame: level and slopes of a background |
 //! | [`testing`] | synthetic instruments and sessions for the tests of all packages |
@@ -20,7 +19,6 @@ pub mod check;
 pub mod dataset;
 pub mod forward;
 pub mod instrument;
-mod interpolation;
 pub mod metrics;
 pub mod psf;
 pub mod slopes;

@@ -15,6 +15,7 @@
 
 pub mod effects;
 pub mod fft2;
+pub mod interpolation;
 pub mod linalg;
 pub mod noise;
 pub mod optics;

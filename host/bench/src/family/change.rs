@@ -3,7 +3,7 @@
 //! | effect | what has moved |
 //! |---|---|
 //! | `array_shift`, `lens_decentre` | lenses, in their plane |
-//! | `array_rotation` | the array, about its centre, by the exact rotation |
+//! | `array_rotation` | the array, about its centre, by the exact rotation, and its place |
 //! | `magnification` | the gap behind the array |
 //! | `radial_distortion` | the distortion of each lens |
 
@@ -36,7 +36,9 @@ impl Change {
         for setting in settings {
             let value = |name: &str| setting.params.get(name).copied().unwrap_or(0.0);
             match setting.id.as_str() {
-                "array_shift" => {
+                // A shift has no angle.
+                "array_shift" | "array_rotation" => {
+                    change.turn_rad += 1e-3 * value("angle_mrad");
                     change.shift_px[0] += value("row_px");
                     change.shift_px[1] += value("col_px");
                 }
@@ -46,7 +48,6 @@ impl Change {
                         at[1] += value(&format!("col_px_{l}"));
                     }
                 }
-                "array_rotation" => change.turn_rad += 1e-3 * value("angle_mrad"),
                 "magnification" => change.gap += value("eps"),
                 "radial_distortion" => change.k1_per_mm2 += value("k1_per_mm2"),
                 _ => {}

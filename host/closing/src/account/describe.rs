@@ -404,10 +404,16 @@ fn describe(term: &Term, params: &[Value]) -> String {
                 .filter(|v| v.sigma > 0.0 && (v.value / v.sigma).abs() > 2.0 || params.len() == 1)
                 .take(6)
                 .map(|v| format!("{} = {} +- {} {}", v.name, short(v.value), short(v.sigma), v.unit))
+                .chain(params.iter().filter(|v| is_moment(v)).map(|v| format!("{} = {} s", v.name, short(v.value))))
                 .collect();
             format!("{}: {}", d.summary, values.join(", "))
         }
     }
+}
+
+/// Whether a value is a moment in a session, which the search chooses and no fit determines.
+fn is_moment(v: &Value) -> bool {
+    v.name == "since_s"
 }
 
 /// A number with three significant digits.

@@ -187,7 +187,8 @@ impl Names {
         let ids: Vec<&str> = self.nearest.iter().map(|n| n.id.as_str()).collect();
         (!ids.is_empty()).then(|| {
             format!(
-                "the instrument keeps terms in the form of {}, which predict held-out data better; they are no causes",
+                "the closed instrument corrects its frames by terms in the form of {}, with which it predicts held-out \
+                 data better. They only resemble the cause, and are not named as it",
                 ids.join(", ")
             )
         })

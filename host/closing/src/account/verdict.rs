@@ -215,13 +215,18 @@ pub(crate) fn shadowed(all: &[Shadowed], of: Option<&str>) -> Vec<Nearest> {
         None => "the strongest effect, which was taken back,".into(),
     };
     let one = |s: &Shadowed| {
-        let beside = if s.share < SHADOW {
-            "no more than a small error in the law of that one would leave".into()
+        let why = if s.share < SHADOW {
+            format!(
+                "it explains {:.1} % of what {strongest} explains, no more than a small error in the law of that one \
+                 would leave",
+                100.0 * s.share
+            )
         } else {
-            let share = 100.0 * SHADOW;
-            format!("and less than {share:.0} % of what nothing explains: an error of the calibration may look like it")
+            format!(
+                "it explains less than {:.0} % of what nothing explains: an error of the calibration may look like it",
+                100.0 * SHADOW
+            )
         };
-        let why = format!("it explains {:.1} % of what {strongest} explains, {beside}", 100.0 * s.share);
         Nearest { id: s.id.into(), z: s.z, why }
     };
     all.iter().filter(|s| !s.id.starts_with("unknown") && s.share >= LISTED).map(one).collect()

@@ -3,8 +3,8 @@
 use super::basis::Basis;
 use super::settle::Settled;
 use crate::account::{
-    Effect, Names, TruthRegistration, Verdict, calibration_note, end_notes, pupil_note, registration_notes, rest_notes,
-    small_note, unstated_notes,
+    Effect, Names, TruthRegistration, Verdict, brightness_note, calibration_note, end_notes, pupil_note,
+    registration_notes, rest_notes, small_note, unstated_notes,
 };
 use crate::data::{Observations, Shown, bright_darks};
 use crate::evidence::{Curve, Figures, JudgedOn, excess, judged, structured};
@@ -41,6 +41,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(said.names.note());
     notes.extend(effects.iter().find_map(truth_note));
     notes.extend(settled.views_chi2.filter(|_| verdict != Verdict::Adequate).map(views_note));
+    notes.extend(brightness_note(model, &basis.before, verdict));
     notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);
@@ -93,7 +94,7 @@ fn sharper_note(found: &[Term]) -> Option<String> {
 /// What agrees where the truths do not.
 fn views_note(chi2: f64) -> String {
     format!(
-        "the frames contradict their truths, and the views behind the lenses hardly contradict one another: with \
+        "the frames contradict their truths, and the views behind the lenses contradict one another far less: with \
          specimens that are estimated from the frames, under the instrument as it was calibrated, chi-squared per pixel \
          is {chi2:.3}. Either the truths are wrong (their resolution, their light, a specimen that has changed since), \
          or something acts on all views alike, such as light or blur that belongs to the specimen, or a displacement of \

@@ -14,7 +14,7 @@ use crate::options::{CloseError, CloseOptions};
 use crate::plan::{self, plan};
 use crate::search::Found;
 use ommatidia_model::instrument::Instrument;
-use ommatidia_physics::effects::find;
+use ommatidia_physics::effects::{Stage, find};
 
 /// Effects of the noise are causes if they leave at most this share of the structure in the noise of repeated frames.
 const NOISE_LEFT: f64 = 0.1;
@@ -116,6 +116,11 @@ fn names(basis: &Basis<'_>, settled: &Settled, given: Given<'_>) -> Names {
     effects.iter_mut().filter(|e| settled.unseen.contains(&e.id.as_str())).for_each(Effect::is_not_added);
     let of_truths = |e: &&mut Effect| find(&e.id).is_some_and(|effect| effect.is_of_truths());
     effects.iter_mut().filter(of_truths).for_each(Effect::is_of_truths);
+    if settled.by_share {
+        // What explains most is named first. Faults of the records stay before it.
+        let is_fault = |e: &Effect| e.stage == Stage::Record.part();
+        effects.sort_by(|a, b| is_fault(b).cmp(&is_fault(a)).then(b.held_out_gain.total_cmp(&a.held_out_gain)));
+    }
     let found: Vec<_> = found.iter().zip(settled.constancy.iter().copied().skip(own)).collect();
     let has_row_noise = found.iter().any(|(f, _)| f.id == ROW_NOISE);
     let judged = Judged {

@@ -8,7 +8,7 @@ use crate::fit::{Fitted, Model, Term, refit};
 use crate::options::{CloseError, CloseOptions};
 use crate::search::{
     Candidate, Earned, Found, Imitation, Kept, NEEDS_CALIBRATION, Pruned, Search, Shadowed, Tried, earned, lost, prune,
-    replaced, score,
+    replaced, score, shared,
 };
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::Instrument;
@@ -21,6 +21,8 @@ pub(super) struct Settled {
     pub closed: Fitted,
     /// What was found, in order: the terms of `now` beyond those of the instrument.
     pub found: Vec<Found>,
+    /// Whether what each of them explains was found beside the others, so that it does not hang on their order.
+    pub by_share: bool,
     /// The test of each term of `now`.
     pub tests: Vec<Option<Test>>,
     /// Whether each term of `now` has one strength everywhere.
@@ -116,7 +118,9 @@ pub(super) fn settle(
         true => Kept::all(pruned),
         false => Kept::of(model, replicas, &basis.before, pruned, (own, basis.seed))?,
     };
-    let Kept { named: Pruned { mut now, mut found, tests, constancy, removed }, closed, unseen, taken_back } = kept;
+    let Kept { mut named, closed, unseen, taken_back } = kept;
+    let by_share = shared(model, &basis.before, &mut named, own)?;
+    let Pruned { mut now, mut found, tests, constancy, removed } = named;
     if found.is_empty() && !recalibrated {
         // Another fit of the nuisance parameters alone is no closed loop.
         now = basis.before.clone();
@@ -140,6 +144,7 @@ pub(super) fn settle(
         now,
         closed,
         found,
+        by_share,
         tests,
         constancy,
         unseen,

@@ -4,7 +4,7 @@
 //! selection) after full fits of the `finalists` in `confirm`, `exchange` replaces found effects by better ones,
 //! `pairs` adds two effects that hide each other, `shadow` names what is no error of a stronger one, `earn` takes out
 //! effects that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward
-//! elimination), [`recalibrate`] measures what a new calibration would gain, `lost` lists what cannot be tested beside
+//! elimination), `shares` tells what each of several explains, [`recalibrate`] measures what a new calibration would gain, `lost` lists what cannot be tested beside
 //! truths of uncertain place.
 
 pub mod candidate;
@@ -20,6 +20,7 @@ pub mod recalibrate;
 mod scoring;
 pub mod select;
 mod shadow;
+pub(crate) mod shares;
 pub mod trials;
 
 pub use candidate::{Alternative, Candidate, Estimate, Found, Shadowed};
@@ -32,5 +33,6 @@ pub use recalibrate::{held_out_figures, trial_calibration};
 pub(crate) use scoring::score;
 pub(crate) use select::SHADOW;
 pub use select::Search;
+pub(crate) use shares::shared;
 pub use trials::{NEEDS_CALIBRATION, Tried};
 pub(crate) use trials::{evidence, is_laplacian};

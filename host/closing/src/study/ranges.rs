@@ -8,7 +8,7 @@
 pub fn largest(id: &str) -> Option<f64> {
     Some(match id {
         // Pixels, px^2 and mrad.
-        "array_shift" => 7.0,
+        "array_shift" | "array_jump" => 7.0,
         "lens_decentre" => 3.0,
         "array_rotation" => 35.0,
         "motion_blur" => 9.0,

@@ -7,6 +7,7 @@ use crate::psf::LensImage;
 use crate::psf::nodes::Taps;
 use ndarray::{Array2, Zip};
 use ommatidia_physics::effects::{Chain, FrameContext, Ray, RayShift, Stage};
+use ommatidia_physics::interpolation::shifted;
 
 /// Iterations for the place that a displaced focus comes from: the third term of a slope of 5 % is a ten-thousandth.
 const ITERATIONS: usize = 2;
@@ -47,7 +48,7 @@ impl Forward {
             // It neither grows PSFs nor stretches the image.
             Shifts::Even(shift) if shift.growth == 0.0 => {
                 if shift.px != [0.0, 0.0] {
-                    image.light = warp::shifted(&image.light, shift.px);
+                    image.light = shifted(&image.light, shift.px);
                 }
             }
             shifts => {

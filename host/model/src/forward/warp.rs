@@ -4,8 +4,8 @@
 //! keeps its light where the displacement varies. A displacement that varies little over a PSF moves sources as their
 //! chief rays move.
 
-use crate::interpolation::{TAPS, tabulated};
-use ndarray::{Array2, Axis, Slice};
+use ndarray::Array2;
+use ommatidia_physics::interpolation::{TAPS, shifted, tabulated};
 
 /// The image with its content displaced by `shift[(r, c)]` = [row, col] pixels; zero outside. A pixel without
 /// displacement is copied.
@@ -46,32 +46,11 @@ pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32>
     })
 }
 
-/// [`warp`] by the same displacement everywhere: along the columns, then along the rows.
-pub(super) fn shifted(image: &Array2<f32>, d: [f64; 2]) -> Array2<f32> {
-    if d == [0.0, 0.0] {
-        return image.clone();
-    }
-    let (rows, cols) = image.dim();
-    // `out[i] += w in[i + offset]` along an axis, where both lie inside.
-    let along = |from: &Array2<f32>, axis: Axis, n: usize, d: f64| {
-        let mut out = Array2::<f32>::zeros((rows, cols));
-        let (first, weights) = tabulated(-d);
-        for (offset, w) in (first..).zip(weights) {
-            let reach = offset.unsigned_abs().min(n);
-            let (low, high) = (Slice::from(..n - reach), Slice::from(reach..));
-            let (to, of) = if offset < 0 { (high, low) } else { (low, high) };
-            out.slice_axis_mut(axis, to).scaled_add(w, &from.slice_axis(axis, of));
-        }
-        out
-    };
-    along(&along(image, Axis(0), rows, d[0]), Axis(1), cols, d[1])
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// The fit of a shift depends on this. The light that is aliased costs more: see `crate::interpolation`.
+    /// The fit of a shift depends on this. The light that is aliased costs more: see [`ommatidia_physics::interpolation`].
     #[test]
     fn centroids_move_by_what_is_asked() {
         let centroid = |image: &Array2<f32>| {

@@ -8,8 +8,8 @@
 //! which is exact at the three, and keeps the light of h. Coefficients over the field stay as they are, since every PSF
 //! is a sum of basis PSFs.
 
-use crate::interpolation::weights;
 use ndarray::{Array2, Array4, ArrayView2};
+use ommatidia_physics::interpolation::weights;
 
 /// The size s of the two outer nodes: half of the largest change that is expected of a wavelength.
 const NODE: f64 = 0.05;

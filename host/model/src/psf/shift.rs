@@ -1,5 +1,5 @@
 //! Moves a small image by a fraction of a pixel: band-limited interpolation of a window that is zero outside
-//! (`crate::interpolation`).
+//! ([`ommatidia_physics::interpolation`]).
 //!
 //! A Gaussian of 1.2 px is moved with an error of at most 6e-4 of its peak, against 2e-4 by the sinc alone. But a sharp
 //! PSF has power beyond the Nyquist frequency, which is aliased. Nothing mends that, and the sinc alone spreads the
@@ -7,8 +7,8 @@
 //! kind it made the squared error of predicted bright scenes, in units of the noise, 3.8 times smaller for PSFs with
 //! sharp edges, and 1.3 times for diffraction at pupils.
 
-use crate::interpolation::weights;
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, s};
+use ommatidia_physics::interpolation::weights;
 
 /// The image moved by `shift_px` (row, col; positive: towards larger indices), extended by `margin` pixels on each
 /// side.

@@ -11,6 +11,7 @@ use super::effect::Effect;
 use super::evidence::Evidence;
 use super::smooth::gaussian_blur;
 use crate::fft2::{RealFft2, fast_size};
+use crate::interpolation::shifted;
 use ndarray::{Array2, s};
 
 /// The effect; its formula is in the documentation of the module.
@@ -62,31 +63,10 @@ impl Effect for Ghost {
     }
 }
 
-/// `image(x) += ratio image(2 c - x)`, by linear interpolation; the image is dark outside.
+/// `image(x) += ratio image(2 c - x)`; the image is dark outside.
 fn add_turned(image: &mut Array2<f32>, centre: [f64; 2], ratio: f64) {
-    let from = image.clone();
-    let (rows, cols) = from.dim();
-    // Pixel i receives light from pixel sum - i; the fraction of a pixel is the same for all.
-    let sum = [(rows as f64 - 1.0) + 2.0 * centre[0], (cols as f64 - 1.0) + 2.0 * centre[1]];
-    let whole = sum.map(f64::floor);
-    for corner in [[0, 0], [0, 1], [1, 0], [1, 1]] {
-        let along = |a: usize| if corner[a] == 1 { sum[a] - whole[a] } else { 1.0 - (sum[a] - whole[a]) };
-        let weight = (ratio * along(0) * along(1)) as f32;
-        if weight == 0.0 {
-            continue;
-        }
-        let [row_sum, col_sum] = [0, 1].map(|a| whole[a] as isize + corner[a]);
-        // Both i and sum - i must be inside 0..n.
-        let range = |sum: isize, n: usize| (sum - n as isize + 1).max(0)..(sum + 1).min(n as isize);
-        let (to_r, to_c) = (range(row_sum, rows), range(col_sum, cols));
-        if to_r.is_empty() || to_c.is_empty() {
-            continue;
-        }
-        let mirror = |to: &std::ops::Range<isize>, sum: isize| sum - to.end + 1..sum - to.start + 1;
-        let (of_r, of_c) = (mirror(&to_r, row_sum), mirror(&to_c, col_sum));
-        let turned = from.slice(s![of_r.start..of_r.end;-1, of_c.start..of_c.end;-1]);
-        image.slice_mut(s![to_r.start..to_r.end, to_c.start..to_c.end]).scaled_add(weight, &turned);
-    }
+    let turned = image.slice(s![..;-1, ..;-1]).to_owned();
+    image.scaled_add(ratio as f32, &shifted(&turned, centre.map(|c| 2.0 * c)));
 }
 
 /// Width of the blur that is subtracted from the light, pixels: a broad glow has no centre.

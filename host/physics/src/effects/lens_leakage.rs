@@ -6,7 +6,8 @@
 use super::context::FrameContext;
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
-use ndarray::{Array2, s};
+use crate::interpolation::shifted;
+use ndarray::Array2;
 
 /// The effect; its formula is in the documentation of the module.
 pub(super) struct LensLeakage;
@@ -37,7 +38,7 @@ impl Effect for LensLeakage {
         }
         let source = image_e.clone();
         for anchor in neighbours(cx.lens, cx.anchors_px) {
-            add_displaced(image_e, &source, [anchor[0] - own[0], anchor[1] - own[1]], p[0]);
+            image_e.scaled_add(p[0] as f32, &shifted(&source, [anchor[0] - own[0], anchor[1] - own[1]]));
         }
     }
 }
@@ -58,32 +59,6 @@ fn neighbours(lens: usize, anchors_px: &[[f64; 2]]) -> impl Iterator<Item = &[f6
     usual.sort_by(f64::total_cmp);
     let reach = NEAREST * usual[usual.len() / 2];
     others(lens).filter(move |n| distance(*n, lens) <= reach).map(|n| &anchors_px[n])
-}
-
-/// `to(x) += share from(x - by)`, by linear interpolation; the image is dark outside.
-fn add_displaced(to: &mut Array2<f32>, from: &Array2<f32>, by: [f64; 2], share: f64) {
-    if !by.iter().all(|v| v.is_finite()) {
-        return;
-    }
-    let (rows, cols) = from.dim();
-    let whole = by.map(f64::floor);
-    for (corner, weight) in [[0, 0], [0, 1], [1, 0], [1, 1]].map(|corner: [usize; 2]| {
-        let along = |a: usize| {
-            let part = by[a] - whole[a];
-            if corner[a] == 1 { part } else { 1.0 - part }
-        };
-        (corner, along(0) * along(1))
-    }) {
-        let at = [0, 1].map(|a| whole[a] as i64 + corner[a] as i64);
-        // Ranges of target and source that overlap along an axis of n pixels.
-        let overlap = |d: i64, n: usize| {
-            let (start, end) = (d.max(0), (n as i64 + d).min(n as i64));
-            (start < end).then(|| (start as usize..end as usize, (start - d) as usize..(end - d) as usize))
-        };
-        if let (Some((to_r, from_r)), Some((to_c, from_c))) = (overlap(at[0], rows), overlap(at[1], cols)) {
-            to.slice_mut(s![to_r, to_c]).scaled_add((share * weight) as f32, &from.slice(s![from_r, from_c]));
-        }
-    }
 }
 
 #[cfg(test)]

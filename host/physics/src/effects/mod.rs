@@ -32,6 +32,7 @@
 
 mod aberration_drift;
 mod adc_nonlinearity;
+mod array_jump;
 mod array_rotation;
 mod array_shift;
 mod background;

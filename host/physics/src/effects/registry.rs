@@ -2,6 +2,7 @@
 
 use super::aberration_drift::AberrationDrift;
 use super::adc_nonlinearity::AdcNonlinearity;
+use super::array_jump::ArrayJump;
 use super::array_rotation::ArrayRotation;
 use super::array_shift::ArrayShift;
 use super::background::Background;
@@ -82,6 +83,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &StageScale,
     &StageBacklash,
     &ThermalDrift,
+    &ArrayJump,
     &Magnification,
     &RadialDistortion,
     &ObjectDistortion,

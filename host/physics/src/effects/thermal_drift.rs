@@ -19,6 +19,10 @@ static DESCRIPTOR: Descriptor = Descriptor {
     ],
     lookalikes: &[
         Lookalike { id: "array_shift", separate_by: "repeated frames of a bead at rest: only a drift grows with time" },
+        Lookalike {
+            id: "array_jump",
+            separate_by: "more frames around the moment: a drift moves in all of them, a jump between two",
+        },
         Lookalike { id: "lag", separate_by: "a dark frame after a bright one: only a lag leaves an image in it" },
     ],
 };

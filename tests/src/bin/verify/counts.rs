@@ -49,6 +49,14 @@ impl Counts {
         }
     }
 
+    /// The counts of a line that [`Counts`] has written, `12 passed, 0 failed, 3 skipped`.
+    pub fn of_total(line: &str) -> Option<Self> {
+        let mut parts = line.trim().split(", ");
+        let mut count = |what: &str| parts.next()?.strip_suffix(what)?.trim().parse().ok();
+        let all = Self { passed: count("passed")?, failed: count("failed")?, skipped: count("skipped")? };
+        parts.next().is_none().then_some(all)
+    }
+
     /// Moves `n` tests that returned early, and said so, from passed to skipped.
     pub fn skip(&mut self, n: u64) {
         self.passed = self.passed.saturating_sub(n);
@@ -84,6 +92,15 @@ mod tests {
         assert_eq!(counts, Counts { passed: 12, failed: 3, skipped: 1 });
         counts.skip(2);
         assert_eq!(counts.to_string(), "10 passed, 3 failed, 3 skipped");
+    }
+
+    #[test]
+    fn a_total_is_read_as_it_is_written() {
+        let counts = Counts { passed: 12, failed: 3, skipped: 1 };
+        assert_eq!(Counts::of_total(&counts.to_string()), Some(counts));
+        for other in ["", "12 passed", "12 passed, 3 failed", "-- lints: 1 passed, 0 failed, 0 skipped (3 s)"] {
+            assert_eq!(Counts::of_total(other), None, "{other}");
+        }
     }
 
     #[test]

@@ -7,27 +7,65 @@
 //! `cargo verify TEXT...` runs only the steps whose names contain one of the texts, which is no proof of anything: it
 //! is for work on that step.
 
+mod beside;
 mod counts;
 mod disk;
 mod python;
 mod steps;
 mod toolchain;
 
+use beside::Beside;
 use counts::Counts;
 use std::process::ExitCode;
+use steps::Step;
 
 fn main() -> ExitCode {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let is_wanted =
-        |step: &steps::Step| wanted.is_empty() || wanted.iter().any(|text| step.name.contains(text.as_str()));
-    let (steps, others): (Vec<_>, Vec<_>) = steps::all().into_iter().partition(is_wanted);
-    if steps.is_empty() {
-        eprintln!(
-            "no step has a name with {wanted:?}: there are {:?}",
-            others.iter().map(|s| s.name).collect::<Vec<_>>()
-        );
-        return ExitCode::FAILURE;
+    let total = match wanted.as_slice() {
+        [] => everything(),
+        [flag, round] if flag == beside::FLAG => {
+            let round = round.parse().ok().and_then(|n| steps::all().into_iter().nth(n));
+            run(round.into_iter().flat_map(|r| r.beside))
+        }
+        texts => match only(texts) {
+            Some(total) => total,
+            None => return ExitCode::FAILURE,
+        },
+    };
+    println!("\n{total}");
+    if total.failed == 0 && total.passed > 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+/// All steps.
+fn everything() -> Counts {
+    let mut total = Counts::default();
+    for (number, round) in steps::all().into_iter().enumerate() {
+        let beside = (!round.beside.is_empty()).then(|| Beside::start(number, &round.beside));
+        total += run(round.front);
+        total += beside.map_or_else(Counts::default, Beside::finish);
     }
+    total
+}
+
+/// The steps whose names contain one of some texts. None: there is none.
+fn only(texts: &[String]) -> Option<Counts> {
+    let is_wanted = |step: &Step| texts.iter().any(|text| step.name.contains(text.as_str()));
+    let all = steps::all().into_iter().flat_map(|round| round.into_steps());
+    let (wanted, others): (Vec<_>, Vec<_>) = all.partition(is_wanted);
+    let others: Vec<_> = others.iter().map(|s| s.name).collect();
+    if wanted.is_empty() {
+        eprintln!("no step has a name with {texts:?}: there are {others:?}");
+        return None;
+    }
+    let total = run(wanted);
+    if !others.is_empty() {
+        println!("\nnot run, as asked: {}", others.join(", "));
+    }
+    Some(total)
+}
+
+/// Runs steps one after the other.
+fn run(steps: impl IntoIterator<Item = Step>) -> Counts {
     let mut total = Counts::default();
     for step in steps {
         println!("\n== {}", step.name);
@@ -39,9 +77,5 @@ fn main() -> ExitCode {
         println!("-- {}: {counts} ({:.0} s)", step.name, started.elapsed().as_secs_f64());
         total += counts;
     }
-    if !others.is_empty() {
-        println!("\nnot run, as asked: {}", others.iter().map(|s| s.name).collect::<Vec<_>>().join(", "));
-    }
-    println!("\n{total}");
-    if total.failed == 0 && total.passed > 0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    total
 }

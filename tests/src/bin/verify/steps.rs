@@ -1,4 +1,4 @@
-//! The steps of `cargo verify`, cheapest first.
+//! The steps of `cargo verify`.
 
 use crate::counts::Counts;
 use crate::{disk, python, toolchain};
@@ -18,25 +18,59 @@ pub struct Step {
     pub run: fn() -> Result<Counts>,
 }
 
-/// All steps in order.
-pub fn all() -> Vec<Step> {
+/// Steps that run at the same time: one after the other in the foreground, and those of the second list one after the
+/// other beside them. A compiler that optimises a large crate as one unit, and a test under the emulator, use one
+/// processor each.
+pub struct Round {
+    pub front: Vec<Step>,
+    pub beside: Vec<Step>,
+}
+
+impl Round {
+    /// All steps, those in the foreground first.
+    pub fn into_steps(self) -> impl Iterator<Item = Step> {
+        self.front.into_iter().chain(self.beside)
+    }
+}
+
+/// All rounds in order. Each needs what the rounds before it have built; nothing but the first installs tools with the
+/// package manager of the system, but for Python.
+pub fn all() -> Vec<Round> {
     let step = |name, run| Step { name, run };
     vec![
-        step("disk space", || disk::has_room(&toolchain::target_dir()).map(|()| Counts::check(true))),
-        step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
-        step("firmware images", firmware_images),
-        step("emulator", || toolchain::ensure_qemu().map(|()| Counts::check(true))),
-        step("ffmpeg", || toolchain::ensure_ffmpeg().map(|()| Counts::check(true))),
-        step("tests of shared with overflow checks, 32-bit program", narrow_tests),
-        step("tests of shared with overflow checks, AArch64, emulated", aarch64_tests),
-        step("shared on other cores", other_cores),
-        step("all tests", || tests(&["--release", "--workspace"])),
-        step("Python package", python::package),
-        step("hostile input", hostile_input),
-        step("hostile input, 32-bit program", narrow_hostile_input),
-        step("lints", || check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))),
-        step("lints of the boards", lints_of_boards),
-        step("documentation", documentation),
+        Round {
+            front: vec![
+                step("disk space", || disk::has_room(&toolchain::target_dir()).map(|()| Counts::check(true))),
+                step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
+                step("tools", || toolchain::ensure_all().map(|()| Counts::check(true))),
+            ],
+            beside: Vec::new(),
+        },
+        Round {
+            front: vec![step("build of all tests", || check(cargo(["test", "--release", "--workspace", "--no-run"])))],
+            beside: vec![
+                step("firmware images", firmware_images),
+                step("tests of shared with overflow checks, 32-bit program", narrow_tests),
+                step("tests of shared with overflow checks, AArch64, emulated", aarch64_tests),
+                step("shared on other cores", other_cores),
+            ],
+        },
+        Round {
+            front: vec![
+                step("all tests", || tests(&["--release", "--workspace"])),
+                step("Python package", python::package),
+            ],
+            // The first two have a target folder of their own: the tests need that of the others when they begin.
+            beside: vec![
+                step("hostile input", hostile_input),
+                step("hostile input, 32-bit program", narrow_hostile_input),
+                step("lints of the boards", lints_of_boards),
+                step("lints", || {
+                    check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))
+                }),
+                step("documentation", documentation),
+            ],
+        },
     ]
 }
 
@@ -101,7 +135,6 @@ const FUZZ_LEVEL: [&str; 2] = ["CARGO_PROFILE_RELEASE_OPT_LEVEL", "1"];
 fn hostile_input() -> Result<Counts> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("..");
     let (target, host) = (toolchain::target_dir().join("fuzz"), toolchain::host()?);
-    toolchain::ensure_cpp()?;
     let mut build = cargo(["build", "--release", "--manifest-path"]);
     build.arg(root.join("fuzz/Cargo.toml")).args(["--target", &host, "--target-dir"]).arg(&target);
     // The sanitizer is not stable; the compiler that has it is.
@@ -149,7 +182,6 @@ fn other_cores() -> Result<Counts> {
 /// The tests of `shared` as a program for AArch64: its loops are the portable ones, as those of this machine are, and
 /// the bits are the same.
 fn aarch64_tests() -> Result<Counts> {
-    toolchain::ensure_qemu_user()?;
     let mut command = toolchain::linux(toolchain::AARCH64)?;
     command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
     command

@@ -78,8 +78,18 @@ pub fn host() -> Result<String> {
     Ok(host.context("rustc does not say what it runs on")?.to_string())
 }
 
+/// Finds or installs everything that the steps need, but for Python.
+pub fn ensure_all() -> Result<()> {
+    ensure_qemu()?;
+    ensure_qemu_user()?;
+    ensure_ffmpeg()?;
+    ensure_cpp()?;
+    thumb()?;
+    [NARROW, AARCH64].into_iter().chain(OTHER_CORES.map(|(target, _)| target)).try_for_each(ensure_target)
+}
+
 /// Finds or installs the C++ compiler that libFuzzer is built with.
-pub fn ensure_cpp() -> Result<()> {
+fn ensure_cpp() -> Result<()> {
     let version = || Command::new("c++").arg("--version").stdout(Stdio::null()).status();
     if version().is_err() {
         apt_install(&["g++"]);
@@ -103,7 +113,7 @@ pub const OTHER_CORES: [(&str, &str); 4] = [
 ];
 
 /// Finds or installs the user-mode emulator for [`AARCH64`].
-pub fn ensure_qemu_user() -> Result<()> {
+fn ensure_qemu_user() -> Result<()> {
     let version = || Command::new("qemu-aarch64").arg("--version").stdout(Stdio::null()).status();
     if version().is_err() {
         apt_install(&["qemu-user"]);
@@ -151,7 +161,7 @@ pub fn thumb() -> Result<Toolchain> {
 }
 
 /// Finds or installs the emulator, and prints its version. The tests ask it whether it counts instructions.
-pub fn ensure_qemu() -> Result<()> {
+fn ensure_qemu() -> Result<()> {
     let version = || Command::new("qemu-system-arm").arg("--version").output();
     if version().is_err() {
         apt_install(&["qemu-system-arm"]);
@@ -165,7 +175,7 @@ pub fn ensure_qemu() -> Result<()> {
 }
 
 /// Finds or installs ffmpeg, which the tests of videos need.
-pub fn ensure_ffmpeg() -> Result<()> {
+fn ensure_ffmpeg() -> Result<()> {
     let version = || Command::new("ffmpeg").arg("-version").output();
     if version().is_err() {
         apt_install(&["ffmpeg"]);

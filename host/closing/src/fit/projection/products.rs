@@ -89,8 +89,19 @@ trait Product<const L: usize> {
     fn pixels(&self) -> (&Views, Range<usize>);
     /// Does its part for one of these pixels behind a lens.
     fn one<S: Simd>(&mut self, simd: S, lens: usize, i: usize);
-    /// The same for [`TOGETHER`] of them in a row, whose first window begins at a place of the frame with its border.
-    fn several<S: Simd>(&mut self, simd: S, lens: (usize, usize), i: usize);
+    /// The same for [`TOGETHER`] of them in a row, whose first window begins at a place of the frame with its border:
+    /// for P vectors of values from the `part`-th on, so that each value of a window is read once for all of them.
+    fn parts<S: Simd, const P: usize>(&mut self, simd: S, lens: (usize, usize), place: (usize, usize));
+
+    /// The same for all values.
+    #[inline(always)]
+    fn several<S: Simd>(&mut self, simd: S, lens: (usize, usize), i: usize) {
+        let parts = L / S::F32_LANES;
+        (0..parts / 2).for_each(|p| self.parts::<S, 2>(simd, lens, (i, 2 * p)));
+        if parts % 2 == 1 {
+            self.parts::<S, 1>(simd, lens, (i, parts - 1));
+        }
+    }
 
     /// Goes through all pixels, lens by lens.
     #[inline(always)]
@@ -164,22 +175,30 @@ impl<const L: usize> Product<L> for Spread<'_, L> {
 
     /// The light of object pixels side by side from `i` on behind a lens; their windows begin at `at`.
     #[inline(always)]
-    fn several<S: Simd>(&mut self, simd: S, (lens, at): (usize, usize), i: usize) {
+    fn parts<S: Simd, const P: usize>(&mut self, simd: S, (lens, at): (usize, usize), (i, part): (usize, usize)) {
         let (width, cols) = (self.views.width(), self.views.bordered()[1]);
         let windows = self.views.neighbours(lens, self.first + i);
+        let light: [[S::f32s; P]; TOGETHER] =
+            std::array::from_fn(|k| std::array::from_fn(|p| S::as_simd_f32s(&self.objects[i + k]).0[part + p]));
         for row in 0..self.views.side() {
             let out = &mut self.out[at + row * cols..][..width + TOGETHER - 1];
             let values = windows.map(|w| &w[row * width..][..width]);
-            for part in 0..L / S::F32_LANES {
-                let light: [S::f32s; TOGETHER] = std::array::from_fn(|k| S::as_simd_f32s(&self.objects[i + k]).0[part]);
-                let mut put = |j: usize, of: Range<usize>| {
-                    let out = &mut S::as_mut_simd_f32s(&mut out[j]).0[part];
-                    *out = of.fold(*out, |sum, k| simd.mul_add_f32s(simd.splat_f32s(values[k][j - k]), light[k], sum));
-                };
-                (0..TOGETHER - 1).for_each(|j| put(j, 0..j + 1));
-                (TOGETHER - 1..width).for_each(|j| put(j, 0..TOGETHER));
-                (1..TOGETHER).for_each(|k| put(width + k - 1, k..TOGETHER));
-            }
+            let mut put = |j: usize, of: Range<usize>| {
+                let out = &mut S::as_mut_simd_f32s(&mut out[j]).0;
+                let mut sums: [S::f32s; P] = std::array::from_fn(|p| out[part + p]);
+                for k in of {
+                    let h = simd.splat_f32s(values[k][j - k]);
+                    for p in 0..P {
+                        sums[p] = simd.mul_add_f32s(h, light[k][p], sums[p]);
+                    }
+                }
+                for p in 0..P {
+                    out[part + p] = sums[p];
+                }
+            };
+            (0..TOGETHER - 1).for_each(|j| put(j, 0..j + 1));
+            (TOGETHER - 1..width).for_each(|j| put(j, 0..TOGETHER));
+            (1..TOGETHER).for_each(|k| put(width + k - 1, k..TOGETHER));
         }
     }
 }
@@ -222,23 +241,30 @@ impl<const L: usize> Product<L> for Collect<'_, L> {
     /// The same of object pixels side by side from `i` on, whose windows begin at `at`: several sums at once, since
     /// each addition waits for the one before.
     #[inline(always)]
-    fn several<S: Simd>(&mut self, simd: S, (lens, at): (usize, usize), i: usize) {
+    fn parts<S: Simd, const P: usize>(&mut self, simd: S, (lens, at): (usize, usize), (i, part): (usize, usize)) {
         let (width, cols) = (self.views.width(), self.views.bordered()[1]);
         let windows = self.views.neighbours(lens, self.first + i);
-        for part in 0..L / S::F32_LANES {
-            let mut sums: [S::f32s; TOGETHER] = std::array::from_fn(|k| S::as_simd_f32s(&self.out[i + k]).0[part]);
-            for row in 0..self.views.side() {
-                let frame = &self.frames[at + row * cols..][..width + TOGETHER - 1];
-                let values = windows.map(|w| &w[row * width..][..width]);
-                for j in 0..width {
-                    for k in 0..TOGETHER {
-                        let y = S::as_simd_f32s(&frame[j + k]).0[part];
-                        sums[k] = simd.mul_add_f32s(simd.splat_f32s(values[k][j]), y, sums[k]);
+        let mut sums: [[S::f32s; P]; TOGETHER] =
+            std::array::from_fn(|k| std::array::from_fn(|p| S::as_simd_f32s(&self.out[i + k]).0[part + p]));
+        for row in 0..self.views.side() {
+            let frame = &self.frames[at + row * cols..][..width + TOGETHER - 1];
+            let values = windows.map(|w| &w[row * width..][..width]);
+            let mut take = |j: usize, of: Range<usize>| {
+                let y: [S::f32s; P] = std::array::from_fn(|p| S::as_simd_f32s(&frame[j]).0[part + p]);
+                for k in of {
+                    let h = simd.splat_f32s(values[k][j - k]);
+                    for p in 0..P {
+                        sums[k][p] = simd.mul_add_f32s(h, y[p], sums[k][p]);
                     }
                 }
-            }
-            for (k, sum) in sums.into_iter().enumerate() {
-                S::as_mut_simd_f32s(&mut self.out[i + k]).0[part] = sum;
+            };
+            (0..TOGETHER - 1).for_each(|j| take(j, 0..j + 1));
+            (TOGETHER - 1..width).for_each(|j| take(j, 0..TOGETHER));
+            (1..TOGETHER).for_each(|k| take(width + k - 1, k..TOGETHER));
+        }
+        for (k, sums) in sums.into_iter().enumerate() {
+            for (p, sum) in sums.into_iter().enumerate() {
+                S::as_mut_simd_f32s(&mut self.out[i + k]).0[part + p] = sum;
             }
         }
     }

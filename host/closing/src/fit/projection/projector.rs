@@ -83,8 +83,7 @@ impl Projector {
     /// A' W v of at most [`LANES`] images, one after the other.
     fn collect(&self, images: &[&mut Array2<f32>]) -> Vec<f32> {
         match images.len() {
-            ..=4 => self.collect_of::<4>(images),
-            5..=8 => self.collect_of::<8>(images),
+            ..=8 => self.collect_of::<8>(images),
             _ => self.collect_of::<LANES>(images),
         }
     }
@@ -103,8 +102,7 @@ impl Projector {
     /// Takes the light of objects, one after the other, out of at most [`LANES`] images.
     fn subtract(&self, images: &mut [&mut Array2<f32>], objects: &[f32]) {
         match images.len() {
-            ..=4 => self.subtract_of::<4>(images, objects),
-            5..=8 => self.subtract_of::<8>(images, objects),
+            ..=8 => self.subtract_of::<8>(images, objects),
             _ => self.subtract_of::<LANES>(images, objects),
         }
     }

@@ -50,8 +50,7 @@ impl<'a> Estimation<'a> {
         for (frames, objects) in frames_e.chunks(LANES).zip(self.objects.chunks_mut(LANES)) {
             let of = (self.views, self.weight, self.floor_e2);
             match frames.len() {
-                ..=4 => iterate::<4>(of, frames, objects, iterations),
-                5..=8 => iterate::<8>(of, frames, objects, iterations),
+                ..=8 => iterate::<8>(of, frames, objects, iterations),
                 _ => iterate::<LANES>(of, frames, objects, iterations),
             }
         }
@@ -72,8 +71,7 @@ impl<'a> Estimation<'a> {
     /// The specimens as they are.
     pub(super) fn estimates(&self) -> Vec<Estimate> {
         let of = |objects: &[Vec<f32>]| match objects.len() {
-            ..=4 => seen::<4>(self.views, objects),
-            5..=8 => seen::<8>(self.views, objects),
+            ..=8 => seen::<8>(self.views, objects),
             _ => seen::<LANES>(self.views, objects),
         };
         self.objects.chunks(LANES).flat_map(of).collect()

@@ -62,17 +62,24 @@ fn worked_examples_of_chief_rays() {
         close(found.z_um, z_um);
     };
     // Anchor (-20, 15), field (10, -17), axis (12, -11) px of 1.85 um; 3 s.
-    near(shifted("array_rotation", &[("angle_mrad", 2.0)]), [0.03, 0.04], 0.0);
+    // 11, 60, 61 are the sides of a right triangle.
+    let mrad = 1e3 * (11.0f64 / 60.0).atan();
+    near(shifted("array_rotation", &[("angle_mrad", mrad)]), [185.0 / 61.0, 205.0 / 61.0], 0.0);
     near(shifted("lens_decentre", &[("row_px_0", 0.5), ("row_px_1", 9.0), ("col_px_0", -0.25)]), [0.5, -0.25], 0.0);
     near(shifted("magnification", &[("eps", 0.01)]), [0.12, -0.11], 0.0);
     close(shifted("magnification", &[("eps", 0.01)]).growth, 0.01);
     close(shifted("spectral_shift", &[("change", -0.05)]).growth, -0.05);
     near(shifted("stage_scale", &[("row_by_row", 0.01), ("col_by_row", 0.1)]), [0.1, 1.0], 0.0);
     near(shifted("thermal_drift", &[("col_px_per_s", 0.5)]), [0.0, 1.5], 0.0);
+    near(shifted("array_jump", &[("row_px", 0.5), ("col_px", -0.25), ("since_s", 2.5)]), [0.5, -0.25], 0.0);
+    near(shifted("array_jump", &[("row_px", 0.5), ("since_s", 3.5)]), [0.0, 0.0], 0.0);
     let r2_mm2 = 265.0 * 1.85e-3f64.powi(2);
     near(shifted("radial_distortion", &[("k1_per_mm2", 2.0)]), [24.0 * r2_mm2, -22.0 * r2_mm2], 0.0);
     // Focus (-10, -2) px from the centre of the array, source (30, -50) um from the centre of the object.
-    near(shifted("sensor_rotation", &[("angle_mrad", 2.0)]), [-0.004, 0.02], 0.0);
+    near(shifted("sensor_rotation", &[("angle_mrad", mrad)]), [-12.0 / 61.0, 112.0 / 61.0], 0.0);
+    // About the focus itself, which stays.
+    let about = [("angle_mrad", mrad), ("row_px", 12.0 / 61.0), ("col_px", -112.0 / 61.0)];
+    assert!(shifted("sensor_rotation", &about).px.iter().all(|d| d.abs() < 1e-12));
     near(shifted("object_distortion", &[("k1_per_mm2", 5.0)]), [0.17, -0.289], 0.0);
     // 0.5 + (0.2 * 10 + 0.1 * -17) / 100, and nothing of the other lens.
     near(
@@ -154,16 +161,25 @@ fn worked_examples_of_images_beside_and_across() {
     let ghost = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5)], &spot, &cx);
     assert_eq!((ghost[[7, 6]], ghost[[2, 4]], ghost.sum()), (100.0, 1000.0, 1100.0));
     let between = lit("ghost", &[("ratio", 0.1), ("centre_row", 0.5), ("centre_col", 0.25)], &spot, &cx);
-    assert_eq!((between[[7, 6]], between[[7, 7]]), (50.0, 50.0));
+    // The weight of a pixel of which `spot` is one, where the image is displaced by d pixels.
+    let weight = |at: usize, spot: isize, d: f64| {
+        let (first, weights) = crate::interpolation::weights(at as f64 - d);
+        weights[(spot - first) as usize] as f32
+    };
+    // Half a pixel beside (7, 6).
+    let half = 100.0 * weight(6, 6, 0.5);
+    assert!((between[[7, 6]] - half).abs() < 1e-3 && (between[[7, 7]] - half).abs() < 1e-3 && half > 60.0);
     // A lamp lights what lies beyond the sensor as well.
     let (even, of_flat) = (Array2::from_elem((9, 11), 64.0f32), FrameContext { role: Role::Flat, ..cx });
     let [halo, ghost] = [("halo", "weight"), ("ghost", "ratio")].map(|(id, p)| lit(id, &[(p, 0.25)], &even, &of_flat));
     assert_eq!([&halo, &ghost], [&even; 2]);
     // Anchors 4.75 columns and a quarter of a row apart.
     let leak = lit("lens_leakage", &[("kappa", 0.16)], &spot, &cx);
-    assert!(
-        (leak[[2, 9]] - 90.0).abs() < 1e-3 && (leak[[1, 8]] - 10.0).abs() < 1e-3 && (leak.sum() - 1160.0).abs() < 1e-2
-    );
+    for at in [[2, 9], [1, 8], [2, 8]] {
+        let want = spot[at] + 160.0 * weight(at[0], 2, -0.25) * weight(at[1], 4, 4.75);
+        assert!((leak[at] - want).abs() < 1e-2, "{at:?}: {} for {want}", leak[at]);
+    }
+    assert!(leak[[2, 9]] > 120.0);
     let moving = lit("motion_blur", &[("var_row_px2", 0.2), ("cov_px2", 0.08)], &spot, &cx);
     // 0.2 and 0.08 px^2 of the light of a pixel, whose blur is that of no wave above the Nyquist frequency.
     let moment = |of: &dyn Fn(f32, f32) -> f32| -> f32 {
