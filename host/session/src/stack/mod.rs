@@ -18,6 +18,7 @@
 //! # }
 //! ```
 
+mod announced;
 mod avi;
 mod chunks;
 mod codec;
