@@ -24,6 +24,7 @@ mod chunks;
 mod codec;
 mod layout;
 mod mat;
+mod names;
 mod npy;
 mod npy_header;
 mod number;
