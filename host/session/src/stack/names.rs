@@ -57,7 +57,7 @@ pub(super) fn in_order(folder: &Path, mut files: Vec<PathBuf>) -> Result<Vec<Pat
 fn is_time(numbers: &[Vec<u128>]) -> bool {
     let limits = [(1970, 2200), (1, 12), (1, 31), (0, 23), (0, 59), (0, 60)];
     let is_date = |numbers: &[u128]| limits.iter().zip(numbers).all(|((least, most), n)| (least..=most).contains(&n));
-    let at = numbers[0].windows(6).position(|six| is_date(six));
+    let at = numbers[0].windows(6).position(is_date);
     at.is_some_and(|at| {
         let before = &numbers[0][..at];
         numbers.iter().all(|n| n[..at] == *before && is_date(&n[at..])) && numbers.windows(2).all(|p| p[0] < p[1])

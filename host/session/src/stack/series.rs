@@ -75,7 +75,7 @@ enum Content {
 
 #[derive(Debug)]
 enum Open {
-    Movie(MovieReader),
+    Movie(Box<MovieReader>),
     Tif(Box<TifSource>),
 }
 
@@ -152,7 +152,7 @@ impl SeriesSource {
 
 fn opened(path: &Path, content: &Content) -> Result<Open, SessionError> {
     match content {
-        Content::Movie(_) => Ok(Open::Movie(MovieReader::open(path)?)),
+        Content::Movie(_) => Ok(Open::Movie(Box::new(MovieReader::open(path)?))),
         _ => Ok(Open::Tif(Box::new(TifSource::open(path)?.1))),
     }
 }

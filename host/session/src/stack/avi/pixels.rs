@@ -53,8 +53,8 @@ impl Pixels {
                 Ok(Self::Colours { bytes: usize::from(bits / 8), upwards })
             }
             ([0, 0, 0, 0], bits) => Err(format!(
-                "uncompressed frames of {bits} bits a pixel, without a code of their format, are not supported; record as \
-                 FFV1, or as grey with the code Y16 or Y800"
+                "uncompressed frames of {bits} bits a pixel, without a code of their format, are not supported; record \
+                 as FFV1, or as grey with the code Y16 or Y800"
             )),
             (code, _) => Ok(Self::Compressed(code)),
         }

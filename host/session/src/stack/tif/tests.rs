@@ -136,3 +136,13 @@ fn what_is_not_read_is_told_from_damage() {
     );
     refused(&Stated { photometric: 3, bits: 8, ..PLAIN }, &["pages: expected pages of grey", "RGBPalette"]);
 }
+
+#[test]
+fn a_page_is_measured_as_it_lies_in_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut bytes = tiff(&Stated { description: b"no frames announced", compression: 5, bits: 8, ..PLAIN });
+    // Columns, rows and rows of a strip: 0.4 GB of uint8, four times as much as float32.
+    [18, 30, 102].iter().for_each(|at| bytes[*at..at + 4].copy_from_slice(&20_000u32.to_le_bytes()));
+    let error = FrameReader::open(&write(folder.path(), &bytes)).unwrap_err().to_string();
+    assert!(error.contains("a page of 20000 x 20000 pixels is too large"), "{error}");
+}
