@@ -15,11 +15,15 @@ const MOST_LISTED: usize = 6;
 pub(super) fn in_order(folder: &Path, mut files: Vec<PathBuf>) -> Result<Vec<PathBuf>, SessionError> {
     // Two names of the same numbers, `f1` and `f01`, follow each other in the same order everywhere.
     files.sort_by_cached_key(|p| (natural(&name(p)), name(p)));
-    if files.len() < 2 || files.iter().all(|p| has_position(&stem(p))) {
+    if files.len() < 2 || files.iter().all(|p| has_position(&stem(p))) || are_continued(&files) {
         return Ok(files);
     }
-    let words = |file: &Path| -> Vec<String> { natural(&stem(file)).into_iter().map(|(text, _)| text).collect() };
-    let mut alike: BTreeMap<Vec<String>, Vec<&PathBuf>> = BTreeMap::new();
+    // `a1` is another name than `a`, which has no number.
+    let words = |file: &Path| -> (Vec<String>, bool) {
+        let stem = stem(file);
+        (natural(&stem).into_iter().map(|(text, _)| text).collect(), stem.ends_with(|c: char| c.is_ascii_digit()))
+    };
+    let mut alike: BTreeMap<(Vec<String>, bool), Vec<&PathBuf>> = BTreeMap::new();
     files.iter().for_each(|file| alike.entry(words(file)).or_default().push(file));
     let wrong = |found: String| {
         let expected = "one recording in names that are alike but for one number, as 0.tif, 1.tif, ...";
@@ -50,6 +54,14 @@ pub(super) fn in_order(folder: &Path, mut files: Vec<PathBuf>) -> Result<Vec<Pat
     }
     let last = name(&files[files.len() - 1]);
     wrong(format!("{} to {last}, in which no number differs in each file", name(&files[0])))
+}
+
+/// Whether the files are one OME-TIFF in several, as Micro-Manager writes them above 4 GB: `a.ome.tif`, `a_1.ome.tif`,
+/// `a_2.ome.tif`, without a gap.
+fn are_continued(files: &[PathBuf]) -> bool {
+    let first = stem(&files[0]);
+    let Some(first) = first.strip_suffix(".ome") else { return false };
+    files.iter().enumerate().skip(1).all(|(i, file)| stem(file) == format!("{first}_{i}.ome"))
 }
 
 /// Whether the numbers are dates with a time of day, which together give the order: year, month, day, hours, minutes,
@@ -140,6 +152,7 @@ mod tests {
             vec!["f1_20.5ms.tif", "f2_61.0ms.tif", "f3_99.5ms.tif"],
             vec!["2026-11-20_12-00-58.tif", "2026-11-20_12-00-59.tif", "2026-11-20_12-01-00.tif"],
             vec!["99999999999999999999_a.tif", "100000000000000000000_a.tif"],
+            vec!["a_Pos0.ome.tif", "a_Pos0_1.ome.tif", "a_Pos0_2.ome.tif"],
             // Stage positions.
             vec!["x-10um_y0um.tif", "x0um_y-10um.tif", "x10um_y10um.tif"],
             vec!["x_m10um_y0um.tif", "x_10um_y\u{2212}10um.tif"],
@@ -168,6 +181,8 @@ mod tests {
             // The channels alternate, and their order is not that of the last number.
             (vec!["c0_t0.tif", "c1_t1.tif", "c0_t2.tif", "c1_t3.tif"], &["in which no number differs"]),
             (vec!["f1.tif", "f01.tif", "f2.tif"], &["found f01.tif and f1.tif with the same number"]),
+            (vec!["a_Pos0.ome.tif", "a_Pos0_1.ome.tif", "a_Pos0_3.ome.tif"], &["a_Pos0.ome.tif beside 2 files"]),
+            (vec!["i.tif", "i1.tif", "i2.tif"], &["found i.tif beside 2 files like i1.tif"]),
             (vec!["a.tif", "b.tif"], &["found a.tif and b.tif"]),
             (vec!["x0um_y0um.tif", "x1um_y0um.tif", "dark.tif"], &["dark.tif"]),
         ] {
