@@ -96,13 +96,19 @@ impl Coding {
             };
             return Err(SessionError::format(path, KIND, detail));
         }
+        Ok(Self::stated(entry))
+    }
+
+    /// The coding by the entries of ffprobe.
+    fn stated(entry: impl Fn(&str) -> String) -> Self {
+        let format = entry("pix_fmt");
         // Formats of luma and colour have a limited range where none is stated; those named `yuvj` have the full one.
         let limited = is_luma(&format)
             && !format.starts_with("yuvj")
             && !["pc", "jpeg", "full"].contains(&entry("color_range").as_str());
         let side = |name: &str| entry(name).parse::<usize>().ok().filter(|n| *n > 0);
         let size = side("height").zip(side("width")).map(|(rows, cols)| [rows, cols]);
-        Ok(Self { format, limited, reordered: entry("has_b_frames").parse().unwrap_or(0) > 0, size })
+        Self { format, limited, reordered: entry("has_b_frames").parse().unwrap_or(0) > 0, size }
     }
 
     /// What is taken of a format with colours: its luma, or its green. A conversion to grey would change the codes.
@@ -297,6 +303,20 @@ mod tests {
         assert!(is_error("[ffv1 @ 0x56] [error] slice CRC mismatch 8C3036CA!at 0.283333 seconds"));
         assert!(!is_error("[swscaler @ 0x1] [warning] deprecated pixel format used"));
     }
+    #[test]
+    fn the_coding_is_what_ffprobe_states() {
+        let of = |text: &'static str| {
+            let entry = |name: &str| text.split(' ').find_map(|e| e.strip_prefix(name)?.strip_prefix('='));
+            Coding::stated(|name| entry(name).unwrap_or("").to_string())
+        };
+        // The size is that of the frames that are delivered.
+        let coding = of("pix_fmt=yuvj420p width=80 height=64 color_range=pc has_b_frames=0");
+        assert_eq!((coding.size, coding.limited, coding.reordered), (Some([64, 80]), false, false));
+        let coding = of("pix_fmt=uyvy422 width=80 height=0 color_range=unknown has_b_frames=2");
+        assert_eq!((coding.size, coding.limited, coding.reordered), (None, true, true));
+        assert!(!of("pix_fmt=gray10le").limited);
+    }
+
     #[test]
     fn codes_are_delivered_as_they_are_stored() {
         let of = |format: &str| {

@@ -146,3 +146,22 @@ fn a_page_is_measured_as_it_lies_in_memory() {
     let error = FrameReader::open(&write(folder.path(), &bytes)).unwrap_err().to_string();
     assert!(error.contains("a page of 20000 x 20000 pixels is too large"), "{error}");
 }
+
+#[test]
+fn any_bytes_are_refused_without_a_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let shaped = Stated { description: br#"{"shape": [3, 2, 3], "axes": "TYX"}"#, ..PLAIN };
+    for whole in [tiff(&PLAIN), tiff(&Stated { listed: 3, photometric: 0, ..PLAIN }), tiff(&shaped)] {
+        for at in 0..whole.len() {
+            for value in [0, 1, 0xff, 0x7f] {
+                let mut bytes = whole.clone();
+                bytes[at] = value;
+                if let Ok(mut reader) = FrameReader::open(&write(folder.path(), &bytes)) {
+                    // An error is an answer; a panic would not be.
+                    let _ = reader.read(0);
+                    let _ = reader.read(reader.len() - 1);
+                }
+            }
+        }
+    }
+}
