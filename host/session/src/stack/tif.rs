@@ -1,5 +1,7 @@
 //! Multi-page TIFF files: one grey page for each frame, all of the same size and sample type.
 
+mod lzw;
+
 use super::announced;
 use super::layout::{SampleType, Shape, StackScale};
 use super::number::Number;
@@ -25,6 +27,8 @@ const MOST_DESCRIPTION: u64 = 1 << 26;
 /// The TIFF numbers of the compressions that are read: none, LZW, Deflate twice, JPEG, and PackBits.
 const COMPRESSIONS: [u16; 6] = [1, 5, 8, 32946, 7, 32773];
 
+const LZW: u16 = 5;
+
 const EXPECTED: &str = "pages of grey, without compression or with LZW, Deflate, PackBits or JPEG";
 const REMEDY: &str = "save the frames as grey without compression, e.g. in ImageJ or with tifffile";
 
@@ -37,6 +41,7 @@ pub(super) struct TifSource {
     pub(super) scale: StackScale,
     /// Where all frames lie one behind the other and only the first is listed.
     behind: Option<Behind>,
+    shape: Shape,
 }
 
 /// Frames in one piece.
@@ -100,15 +105,23 @@ impl TifSource {
         let mut limits = Limits::default();
         limits.decoding_buffer_size = bytes;
         limits.intermediate_buffer_size = limits.intermediate_buffer_size.max(bytes);
-        Ok((shape, Self { decoder: decoder.with_limits(limits), scale, behind }))
+        Ok((shape, Self { decoder: decoder.with_limits(limits), scale, behind, shape }))
     }
 
     pub(super) fn read(&mut self, path: &Path, i: usize) -> Result<Vec<f32>, SessionError> {
         if let Some(behind) = &self.behind {
             return behind.read(self.decoder.inner(), i).map_err(|e| SessionError::io(path, e));
         }
-        let image = self.decoder.seek_to_image(i).and_then(|()| self.decoder.read_image());
-        let image = image.map_err(|e| error(path, e))?;
+        self.decoder.seek_to_image(i).map_err(|e| error(path, e))?;
+        let image = match self.decoder.read_image() {
+            Ok(image) => image,
+            Err(e) => {
+                let again = compression(&mut self.decoder).ok().filter(|code| *code == LZW);
+                let values = again
+                    .and_then(|_| lzw::page(&mut self.decoder, &self.shape, number(self.shape.samples)).ok().flatten());
+                return values.ok_or_else(|| error(path, e));
+            }
+        };
         // The numbers are those of the file: what zero looks like does not change them, and the decoder does.
         let inverted = white_is_zero(&mut self.decoder).map_err(|e| error(path, e))?;
         match image {
@@ -134,6 +147,14 @@ impl Behind {
         let mut bytes = vec![0; self.frame_bytes];
         file.read_exact(&mut bytes)?;
         Ok(self.number.decode(&bytes, self.big_endian))
+    }
+}
+
+fn number(samples: SampleType) -> Number {
+    match samples {
+        SampleType::U8 => Number::U8,
+        SampleType::U16 => Number::U16,
+        SampleType::F32 => Number::F32,
     }
 }
 
@@ -183,11 +204,7 @@ fn piece(decoder: &mut Tiff, shape: &Shape) -> Result<Option<Behind>, TiffError>
     if !in_a_row || !whole || offsets.len() != counts.len() || compression(decoder)? != 1 {
         return Ok(None);
     }
-    let number = match shape.samples {
-        SampleType::U8 => Number::U8,
-        SampleType::U16 => Number::U16,
-        SampleType::F32 => Number::F32,
-    };
+    let number = number(shape.samples);
     let big_endian = matches!(decoder.byte_order(), ByteOrder::BigEndian);
     Ok(Some(Behind { start: *start, frame_bytes, number, big_endian }))
 }

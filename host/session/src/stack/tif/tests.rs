@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::{FrameReader, SampleType};
+use ndarray::Array2;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 /// What a file of frames of 2 x 3 pixels states.
@@ -164,4 +166,65 @@ fn any_bytes_are_refused_without_a_panic() {
             }
         }
     }
+}
+
+/// LZW as section 13 of the specification TIFF 6.0 has it.
+fn lzw(data: &[u8]) -> Vec<u8> {
+    let mut known: HashMap<Vec<u8>, usize> = (0..=255u8).map(|b| (vec![b], usize::from(b))).collect();
+    let (mut bits, mut width) = (vec![], 9);
+    let mut put = |code: usize, width: usize| bits.extend((0..width).rev().map(|b| (code >> b & 1) as u8));
+    put(256, width);
+    let mut run = Vec::new();
+    for byte in data {
+        let longer = [&run[..], &[*byte]].concat();
+        if known.contains_key(&longer) {
+            run = longer;
+            continue;
+        }
+        put(known[&run], width);
+        let next = known.len() + 2;
+        known.insert(longer, next);
+        // Before code 511 is used.
+        width = if next >= 511 { 10 } else { 9 };
+        run = vec![*byte];
+    }
+    put(known[&run], width);
+    put(257, width);
+    bits.chunks(8).map(|byte| byte.iter().enumerate().fold(0, |n, (i, bit)| n | bit << (7 - i))).collect()
+}
+
+#[test]
+fn tiles_with_lzw_that_reach_over_the_edge_are_read() {
+    // One tile of 16 x 16, of which the page has 8 columns.
+    let value = |r: usize, c: usize| if c < 8 { ((16 * r + c) * 37 % 251) as u8 } else { 0 };
+    let tile: Vec<u8> = (0..16).flat_map(|r| (0..16).map(move |c| value(r, c))).collect();
+    let coded = lzw(&tile);
+    let entries = 10u16;
+    let mut bytes = b"II*\0\x08\0\0\0".to_vec();
+    bytes.extend(entries.to_le_bytes());
+    let start = 8 + 2 + 12 * u32::from(entries) + 4;
+    for (tag, kind, value) in [
+        (256u16, 4u16, 8u32),
+        (257, 4, 16),
+        (258, 3, 8),
+        (259, 3, 5),
+        (262, 3, 1),
+        (322, 4, 16),
+        (323, 4, 16),
+        (324, 4, start),
+        (325, 4, coded.len() as u32),
+        (339, 3, 1),
+    ] {
+        bytes.extend([tag.to_le_bytes(), kind.to_le_bytes()].concat());
+        bytes.extend([1u32.to_le_bytes(), value.to_le_bytes()].concat());
+    }
+    bytes.extend([0; 4]);
+    bytes.extend(&coded);
+    let folder = tempfile::tempdir().unwrap();
+    let frame = FrameReader::open(&write(folder.path(), &bytes)).unwrap().read(0).unwrap();
+    assert_eq!(frame, Array2::from_shape_fn((16, 8), |(r, c)| f32::from(value(r, c))));
+    // Damage stays an error.
+    let at = bytes.len() - coded.len() / 2;
+    bytes[at..].fill(0xff);
+    assert!(FrameReader::open(&write(folder.path(), &bytes)).unwrap().read(0).is_err());
 }
