@@ -200,7 +200,7 @@ fn channels_are_not_taken_for_frames() {
         write(description);
         mentions(&FrameReader::open(&path).unwrap_err().to_string(), &["a.tif", axis, "expected 1", "of its own"]);
     }
-    for description in ["ImageJ=1.53t\nimages=6\nslices=6\n", r#"<OME><Pixels SizeC="1" SizeT="6"/></OME>"#, ""] {
+    for description in ["ImageJ=1.53t\nimages=1\nslices=1\n", r#"<OME><Pixels SizeC="1" SizeT="1"/></OME>"#, ""] {
         write(description);
         assert_eq!(FrameReader::open(&path).unwrap().read(0).unwrap()[[1, 1]], 4.0);
     }
@@ -417,4 +417,37 @@ fn places_of_lenses_are_checked_and_kept() {
     let places = grid.places_px(&SensorSpec { rows: 214, cols: 200, ..right.sensor });
     assert_eq!((places[4], places[2], grid.words().as_str()), ([106.5, 99.5], [56.5, 149.5], "3 x 3 lenses"));
     assert_eq!(grid.lens_name(5), "2, 3");
+}
+
+#[test]
+fn a_folder_of_both_kinds_of_files_or_of_two_recordings_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let write = |name: &str| stack::write(&dir.path().join(name), ramp(1, 4, 5).view()).unwrap();
+    ["f_0.tif", "f_1.tif", "f_10.tif", "f_2.tif"].iter().for_each(|name| write(name));
+    let open = || FrameReader::open(dir.path());
+    let numbers: Vec<_> = open().unwrap().parts().iter().map(|part| part.number).collect();
+    assert_eq!(numbers, [0, 1, 2, 10].map(Some));
+    std::fs::write(dir.path().join("preview.avi"), "").unwrap();
+    mentions(
+        &open().unwrap_err().to_string(),
+        &["expected AVIs or TIFFs", "such as preview.avi, and TIFFs, such as f_0.tif"],
+    );
+    std::fs::remove_file(dir.path().join("preview.avi")).unwrap();
+    write("background.tif");
+    mentions(&open().unwrap_err().to_string(), &["found background.tif beside 4 files like f_0.tif"]);
+    let avis = tempfile::tempdir().unwrap();
+    ["a_1.avi", "b_0.avi"].iter().for_each(|name| std::fs::write(avis.path().join(name), "").unwrap());
+    mentions(&FrameReader::open(avis.path()).unwrap_err().to_string(), &["found a_1.avi and b_0.avi; rename"]);
+}
+
+#[cfg(unix)]
+#[test]
+fn what_is_neither_file_nor_folder_is_refused_and_not_waited_for() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("pipe.tif");
+    assert!(std::process::Command::new("mkfifo").arg(&path).status().unwrap().success());
+    mentions(
+        &FrameReader::open(&path).unwrap_err().to_string(),
+        &["pipe.tif", "a file or a folder", "write the frames"],
+    );
 }

@@ -52,6 +52,18 @@ fn mat_files_of_scipy_hdf5storage_and_h5py() {
     }
 }
 
+/// h5py: `f.create_dataset('Y', shape=(5, 32, 24), chunks=(2, 32, 24), dtype='u2', fillvalue=7)`, of which the frames 2
+/// and 3 were written; `N` of the same size in one piece, never written; and `L`, a soft link to nothing.
+#[test]
+fn what_was_never_written_has_the_fill_value_or_is_an_error() {
+    let written = |f: usize| if (2..4).contains(&f) { frame(f) } else { Array2::from_elem((SHAPE.1, SHAPE.2), 7.0) };
+    expect("unwritten-h5py.mat", Some("Y"), SampleType::U16, written);
+    let error = FrameReader::open_variable(&path("unwritten-h5py.mat"), Some("N")).unwrap_err().to_string();
+    assert!(error.contains("nothing was written into it") && error.contains("--variable NAME"), "{error}");
+    let error = FrameReader::open(&path("unwritten-h5py.mat")).unwrap_err().to_string();
+    assert!(error.contains("found N (24 x 32 x 5, uint16), Y (24 x 32 x 5, uint16);"), "{error}");
+}
+
 #[test]
 fn mat_files_of_matlab() {
     // Of MATLAB 6.1 on a big-endian machine, and of 7.4, compressed: numbers 1 to 24 in MATLAB's order, (2, 3, 4).

@@ -69,6 +69,7 @@ pub struct StackScale {
 }
 
 /// Size and sample type of a stack, as its file states them.
+#[derive(Clone, Copy, Debug)]
 pub(super) struct Shape {
     pub len: usize,
     pub rows: usize,

@@ -18,11 +18,13 @@
 //! # }
 //! ```
 
+mod announced;
 mod avi;
 mod chunks;
 mod codec;
 mod layout;
 mod mat;
+mod names;
 mod npy;
 mod npy_header;
 mod number;

@@ -79,18 +79,27 @@ pub(super) fn scale(text: &str, resolution: [Option<f64>; 2]) -> StackScale {
 }
 
 /// The start tag of the first element of this name.
-fn element<'a>(text: &'a str, name: &str) -> Option<&'a str> {
-    let starts = |at: &usize| {
-        let before = text[..*at].ends_with('<') || text[..*at].ends_with(':');
+fn element<'a>(text: &'a str, name: &'a str) -> Option<&'a str> {
+    elements(text, name).next().map(|(_, tag)| tag)
+}
+
+/// Where each element of this name begins, and its start tag.
+pub(super) fn elements<'a>(text: &'a str, name: &'a str) -> impl Iterator<Item = (usize, &'a str)> {
+    let starts = move |at: &usize| {
+        // The name may have a prefix: `<ome:Pixels`. `</Pixels` is an end.
+        let prefix = text[..*at].rfind('<').map(|open| &text[open + 1..*at]);
+        let is_word = |p: &str| p[..p.len() - 1].chars().all(|c| c.is_alphanumeric() || "_-.".contains(c));
+        let before = prefix.is_some_and(|p| p.is_empty() || (p.ends_with(':') && is_word(p)));
         before && text[at + name.len()..].starts_with([' ', '\n', '\r', '\t', '>', '/'])
     };
-    let at = text.match_indices(name).map(|(at, _)| at).find(starts)?;
-    let rest = &text[at..];
-    Some(&rest[..rest.find('>').unwrap_or(rest.len())])
+    text.match_indices(name).map(|(at, _)| at).filter(starts).map(move |at| {
+        let rest = &text[at..];
+        (at, &rest[..rest.find('>').unwrap_or(rest.len())])
+    })
 }
 
 /// The value of an attribute in a start tag.
-fn attribute(tag: &str, name: &str) -> Option<String> {
+pub(super) fn attribute(tag: &str, name: &str) -> Option<String> {
     let whole = |at: &usize| tag[..*at].ends_with([' ', '\n', '\r', '\t']);
     tag.match_indices(name).map(|(at, _)| at).filter(whole).find_map(|at| {
         let value = tag[at + name.len()..].trim_start().strip_prefix('=')?.trim_start();

@@ -79,6 +79,11 @@ impl FrameReader {
         if path.extension().is_none() && !path.exists() {
             return Err(SessionError::io(path, std::io::ErrorKind::NotFound.into()));
         }
+        // To open a pipe would wait for a writer, without end where there is none.
+        if std::fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
+            let remedy = "write the frames into a file, and name that";
+            return Err(SessionError::value(path, "stack", "a file or a folder", "a pipe or a device", remedy));
+        }
         if let Some(name) = variable.filter(|_| Container::by_suffix(path) != Some(Container::Mat)) {
             let remedy = "leave the name out: only .mat files hold several arrays";
             return Err(SessionError::value(path, "variable", "none", name, remedy));

@@ -2,6 +2,7 @@
 
 use super::avi::{Movie, MovieReader};
 use super::layout::{Shape, StackScale};
+use super::names::{self, last_number, listed, name, natural};
 use super::tif::TifSource;
 use crate::error::SessionError;
 use std::path::{Path, PathBuf};
@@ -74,7 +75,7 @@ enum Content {
 
 #[derive(Debug)]
 enum Open {
-    Movie(MovieReader),
+    Movie(Box<MovieReader>),
     Tif(Box<TifSource>),
 }
 
@@ -151,7 +152,7 @@ impl SeriesSource {
 
 fn opened(path: &Path, content: &Content) -> Result<Open, SessionError> {
     match content {
-        Content::Movie(_) => Ok(Open::Movie(MovieReader::open(path)?)),
+        Content::Movie(_) => Ok(Open::Movie(Box::new(MovieReader::open(path)?))),
         _ => Ok(Open::Tif(Box::new(TifSource::open(path)?.1))),
     }
 }
@@ -221,13 +222,19 @@ fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionE
     // Hidden files are those of other systems, such as `._0.avi` of a Mac.
     paths.retain(|p| p.is_file() && !name(p).starts_with('.'));
     let avis: Vec<PathBuf> = paths.iter().filter(|p| is_avi(p)).cloned().collect();
+    let tifs: Vec<PathBuf> = paths.into_iter().filter(|p| is_tif(p)).collect();
+    if avis.is_empty() && tifs.is_empty() {
+        return Err(nothing(folder, &what_is_there(folder)));
+    }
     if avis.is_empty() {
-        let mut tifs: Vec<PathBuf> = paths.into_iter().filter(|p| is_tif(p)).collect();
-        if tifs.is_empty() {
-            return Err(nothing(folder, &what_is_there(folder)));
-        }
-        tifs.sort_by_cached_key(|p| natural(&name(p)));
+        let tifs = names::in_order(folder, tifs)?;
         return Ok(tifs.into_iter().map(|p| (last_number(&p), p)).collect());
+    }
+    if let Some(tif) = tifs.iter().min() {
+        let first = avis.iter().min().unwrap_or(tif);
+        let found = format!("AVIs, such as {}, and TIFFs, such as {}", name(first), name(tif));
+        let remedy = "move the files that are no frames of the recording out of the folder, or name one file";
+        return Err(SessionError::value(folder, "files of frames", "AVIs or TIFFs", found, remedy));
     }
     let mut numbered: Vec<(String, u64, PathBuf)> = Vec::new();
     for path in &avis {
@@ -251,13 +258,14 @@ fn numbered_files(folder: &Path) -> Result<Vec<(Option<u64>, PathBuf)>, SessionE
         return in_order(folder, numbered);
     }
     if prefixes.len() != 1 || numbered.len() != avis.len() {
-        let named: Vec<String> = avis.iter().take(6).map(|p| name(p)).collect();
+        let mut named: Vec<&PathBuf> = avis.iter().collect();
+        named.sort_by_cached_key(|p| natural(&name(p)));
         return Err(SessionError::value(
             folder,
             "AVI files",
-            "one recording in files 0.avi, 1.avi, ...",
-            format!("{} and others with other names", named.join(", ")),
-            "put each recording into a folder of its own, or name one file",
+            "one recording in names that end in their number: 0.avi, 1.avi, ...",
+            listed(&named),
+            "rename them so, or put each recording into a folder of its own, or name one file",
         ));
     }
     in_order(folder, numbered)
@@ -315,30 +323,4 @@ fn what_is_there(folder: &Path) -> String {
         true => "a folder without them".into(),
         false => format!("none; its folders {} have some", inner.join(", ")),
     }
-}
-
-fn name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// The last number in the name of a file.
-fn last_number(path: &Path) -> Option<u64> {
-    let stem = path.file_stem()?.to_string_lossy().into_owned();
-    let digits = stem.trim_end_matches(|c: char| !c.is_ascii_digit());
-    let start = digits.trim_end_matches(|c: char| c.is_ascii_digit()).len();
-    digits[start..].parse().ok()
-}
-
-/// A key that sorts names by the numbers in them: `f2` before `f10`.
-fn natural(name: &str) -> Vec<(String, u64)> {
-    let mut parts: Vec<(String, u64)> = Vec::new();
-    let mut rest = name;
-    while !rest.is_empty() {
-        let text = rest.find(|c: char| c.is_ascii_digit()).unwrap_or(rest.len());
-        let digits = &rest[text..];
-        let end = digits.find(|c: char| !c.is_ascii_digit()).unwrap_or(digits.len());
-        parts.push((rest[..text].to_lowercase(), digits[..end].parse().unwrap_or(u64::MAX)));
-        rest = &digits[end..];
-    }
-    parts
 }

@@ -24,6 +24,9 @@ pub(super) struct Coding {
     pub limited: bool,
     /// Whether frames are stored in another order than they are shown in.
     reordered: bool,
+    /// Rows and columns of the frames that ffmpeg delivers, where ffprobe states them. The header of the file may state
+    /// others.
+    pub size: Option<[usize; 2]>,
 }
 
 /// A running ffmpeg; dropped, it is ended.
@@ -45,6 +48,8 @@ pub(super) struct Decoder {
     before: Vec<u8>,
     /// Whether ffmpeg has said any error.
     errors: bool,
+    /// The last error that it said.
+    last_error: String,
 }
 
 /// What ffmpeg says up to one frame; after the last frame, what it says at the end.
@@ -52,8 +57,8 @@ pub(super) struct Decoder {
 struct Said {
     /// The number of the frame, by its time; `None` at the end.
     place: Option<usize>,
-    /// Whether there was an error.
-    error: bool,
+    /// The last error, if there was one.
+    error: Option<String>,
 }
 
 /// The part of a frame that holds its light without its colours.
@@ -69,7 +74,7 @@ impl Coding {
         probe.args(["-v", "error", "-select_streams", "v:0"]);
         probe.args([
             "-show_entries",
-            "stream=codec_name,pix_fmt,color_range,has_b_frames",
+            "stream=codec_name,pix_fmt,width,height,color_range,has_b_frames",
             "-of",
             "default=noprint_wrappers=1",
         ]);
@@ -91,28 +96,64 @@ impl Coding {
             };
             return Err(SessionError::format(path, KIND, detail));
         }
+        Ok(Self::stated(entry))
+    }
+
+    /// The coding by the entries of ffprobe.
+    fn stated(entry: impl Fn(&str) -> String) -> Self {
+        let format = entry("pix_fmt");
         // Formats of luma and colour have a limited range where none is stated; those named `yuvj` have the full one.
-        let limited = (format.starts_with("yuv") || format.starts_with("nv"))
+        let limited = is_luma(&format)
             && !format.starts_with("yuvj")
             && !["pc", "jpeg", "full"].contains(&entry("color_range").as_str());
-        Ok(Self { format, limited, reordered: entry("has_b_frames").parse().unwrap_or(0) > 0 })
+        let side = |name: &str| entry(name).parse::<usize>().ok().filter(|n| *n > 0);
+        let size = side("height").zip(side("width")).map(|(rows, cols)| [rows, cols]);
+        Self { format, limited, reordered: entry("has_b_frames").parse().unwrap_or(0) > 0, size }
     }
 
     /// What is taken of a format with colours: its luma, or its green. A conversion to grey would change the codes.
     pub fn taken_of_colours(&self) -> Option<&'static str> {
         match self.format.as_str() {
             f if f.starts_with("gray") || f == "pal8" || f.starts_with("mono") => None,
-            f if f.starts_with("yuv") || f.starts_with("nv") => Some(LUMA),
+            f if is_luma(f) => Some(LUMA),
             _ => Some("green"),
         }
     }
 
+    /// Bits of a sample, by the end of the name: `gray10le`, `yuv420p12le`, `rgb48le`.
+    fn bits(&self) -> u32 {
+        let name = self.format.trim_end_matches("le").trim_end_matches("be");
+        // Their numbers count the bits of a pixel, or are none of bits.
+        if ["nv12", "nv16", "nv21", "nv24", "nv42"].contains(&name) {
+            return 8;
+        }
+        let ends = [("9", 9), ("10", 10), ("12", 12), ("14", 14), ("16", 16), ("48", 16), ("64", 16), ("nv20", 10)];
+        ends.iter().find(|(end, _)| name.ends_with(end)).map_or(8, |(_, bits)| *bits)
+    }
+
     /// Type of the samples.
     pub fn samples(&self) -> SampleType {
-        let name = self.format.trim_end_matches("le").trim_end_matches("be");
-        let deep = ["9", "10", "12", "14", "16", "48", "64"].iter().any(|bits| name.ends_with(bits));
-        if deep && !name.ends_with("nv12") && !name.ends_with("nv16") { SampleType::U16 } else { SampleType::U8 }
+        if self.bits() > 8 { SampleType::U16 } else { SampleType::U8 }
     }
+
+    /// How ffmpeg calls grey of as many bits: of more bits, it would multiply the codes.
+    fn delivered(&self) -> String {
+        match self.bits() {
+            8 => "gray".into(),
+            bits => format!("gray{bits}le"),
+        }
+    }
+}
+
+/// Whether a format has luma and colours, in planes (`yuv420p`, `nv12`, `p010le`) or in turns (`yuyv422`, `uyvy422`).
+fn is_luma(format: &str) -> bool {
+    let planes_of_two = ["p0", "p2", "p4"].iter().any(|start| format.starts_with(start));
+    let in_turns = ["uyvy", "yvyu", "uyyvyy", "y210", "y212", "y216", "ayuv", "vuya", "vuyx", "xv30", "xv36", "uyva"];
+    format.starts_with("yuv")
+        || format.starts_with("yuyv")
+        || format.starts_with("nv")
+        || planes_of_two
+        || in_turns.iter().any(|start| format.starts_with(start))
 }
 
 impl Decoder {
@@ -127,8 +168,7 @@ impl Decoder {
         command.args(["-hide_banner", "-nostats", "-v", "level+info", "-i"]);
         command.arg(ffmpeg::file(path)).args(["-map", "0:v:0"]).args(ffmpeg::each_frame_once(path)?);
         command.args(["-vf", &format!("{plane}showinfo=checksum=0")]);
-        let name = if movie.samples == SampleType::U16 { "gray16le" } else { "gray" };
-        command.args(["-pix_fmt", name, "-f", "rawvideo", "-"]);
+        command.args(["-pix_fmt", &coding.delivered(), "-f", "rawvideo", "-"]);
         command.stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().map_err(|e| ffmpeg::missing(path, FFMPEG, &e))?;
         let silent = || SessionError::format(path, KIND, "ffmpeg has no output");
@@ -139,8 +179,8 @@ impl Decoder {
         std::thread::spawn(move || listen(stderr, &to));
         let bytes = movie.rows * movie.cols * movie.samples.bytes();
         let (buffer, before) = (vec![0; bytes], vec![0; bytes]);
-        let (at, has_before, ended, next, errors) = (None, false, false, 0, false);
-        Ok(Self { child, out, said, at, has_before, ended, next, buffer, before, errors })
+        let (at, has_before, ended, next, errors, last_error) = (None, false, false, 0, false, String::new());
+        Ok(Self { child, out, said, at, has_before, ended, next, buffer, before, errors, last_error })
     }
 
     /// Whole frame `index`, which is not before [`Decoder::next`]. Where it cannot be decoded, the frame before stands
@@ -170,7 +210,11 @@ impl Decoder {
             Some(at) if at > place && self.has_before => (&self.before, stands("before")),
             Some(at) if at > place => (&self.buffer, stands("after it")),
             Some(_) => (&self.buffer, stands("before")),
-            None => return Err(SessionError::format(path, KIND, "ffmpeg decodes none of its frames")),
+            None => {
+                let because = if self.last_error.is_empty() { "" } else { ": " };
+                let detail = format!("ffmpeg decodes none of its frames{because}{}", self.last_error);
+                return Err(SessionError::format(path, KIND, detail));
+            }
         };
         let values = match movie.samples {
             SampleType::U16 => bytes.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]]))).collect(),
@@ -185,7 +229,10 @@ impl Decoder {
         let delivered = self.out.read_exact(&mut self.buffer).is_ok();
         // It is said before the frame is delivered.
         let said = self.said.recv_timeout(PATIENCE).unwrap_or_default();
-        self.errors |= said.error;
+        self.errors |= said.error.is_some();
+        if let Some(text) = said.error.filter(|text| !text.is_empty()) {
+            self.last_error = text;
+        }
         if !delivered {
             // The last frame stays where it is.
             std::mem::swap(&mut self.buffer, &mut self.before);
@@ -202,15 +249,15 @@ impl Decoder {
 /// Passes on what ffmpeg says, frame by frame.
 fn listen(stderr: ChildStderr, to: &Sender<Said>) {
     let mut lines = BufReader::new(stderr);
-    let (mut error, mut line) = (false, Vec::new());
+    let (mut error, mut line) = (None, Vec::new());
     while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
         let text = String::from_utf8_lossy(&line);
         if let Some(place) = frame_in(&text) {
-            if to.send(Said { place, error: std::mem::take(&mut error) }).is_err() {
+            if to.send(Said { place, error: error.take() }).is_err() {
                 return;
             }
-        } else {
-            error |= is_error(&text);
+        } else if is_error(&text) {
+            error = Some(said_in(&text)).filter(|text| !text.is_empty()).or(error).or(Some(String::new()));
         }
         line.clear();
     }
@@ -228,6 +275,11 @@ fn frame_in(line: &str) -> Option<Option<usize>> {
 /// Whether a line is an error: `[ffv1 @ 0x55] [error] slice CRC mismatch`.
 fn is_error(line: &str) -> bool {
     line.contains("[error] ") || line.contains("[fatal] ")
+}
+
+/// What an error says, without the names of what says it.
+fn said_in(line: &str) -> String {
+    ffmpeg::plain(line.split_once("[error] ").or(line.split_once("[fatal] ")).map_or(line, |(_, text)| text))
 }
 
 impl Drop for Decoder {
@@ -250,5 +302,46 @@ mod tests {
         assert_eq!(frame_in("[Parsed_showinfo_0 @ 0x55] [info] n: 0 pts:   NOPTS pts_time:NOPTS"), Some(None));
         assert!(is_error("[ffv1 @ 0x56] [error] slice CRC mismatch 8C3036CA!at 0.283333 seconds"));
         assert!(!is_error("[swscaler @ 0x1] [warning] deprecated pixel format used"));
+    }
+    #[test]
+    fn the_coding_is_what_ffprobe_states() {
+        let of = |text: &'static str| {
+            let entry = |name: &str| text.split(' ').find_map(|e| e.strip_prefix(name)?.strip_prefix('='));
+            Coding::stated(|name| entry(name).unwrap_or("").to_string())
+        };
+        // The size is that of the frames that are delivered.
+        let coding = of("pix_fmt=yuvj420p width=80 height=64 color_range=pc has_b_frames=0");
+        assert_eq!((coding.size, coding.limited, coding.reordered), (Some([64, 80]), false, false));
+        let coding = of("pix_fmt=uyvy422 width=80 height=0 color_range=unknown has_b_frames=2");
+        assert_eq!((coding.size, coding.limited, coding.reordered), (None, true, true));
+        assert!(!of("pix_fmt=gray10le").limited);
+    }
+
+    #[test]
+    fn codes_are_delivered_as_they_are_stored() {
+        let of = |format: &str| {
+            let coding = Coding { format: format.into(), limited: false, reordered: false, size: None };
+            (coding.delivered(), coding.samples(), coding.taken_of_colours())
+        };
+        use SampleType::{U8, U16};
+        for (format, delivered, samples, taken) in [
+            ("gray", "gray", U8, None),
+            ("gray10le", "gray10le", U16, None),
+            ("gray12le", "gray12le", U16, None),
+            ("gray16be", "gray16le", U16, None),
+            ("yuv420p", "gray", U8, Some("luma")),
+            ("yuv420p10le", "gray10le", U16, Some("luma")),
+            ("p010le", "gray10le", U16, Some("luma")),
+            ("nv12", "gray", U8, Some("luma")),
+            ("yuyv422", "gray", U8, Some("luma")),
+            ("uyvy422", "gray", U8, Some("luma")),
+            ("gbrp14le", "gray14le", U16, Some("green")),
+            ("rgb48le", "gray16le", U16, Some("green")),
+            ("bgr24", "gray", U8, Some("green")),
+            ("pal8", "gray", U8, None),
+        ] {
+            assert_eq!(of(format), (delivered.to_string(), samples, taken), "{format}");
+        }
+        assert_eq!(said_in("[vist#0:0/rawvideo @ 0x5] [error] [dec:raw @ 0x7] Invalid data\n"), "Invalid data");
     }
 }

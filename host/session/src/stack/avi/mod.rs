@@ -59,11 +59,12 @@ impl Movie {
         let format = |detail: &str| SessionError::format(path, KIND, detail);
         let header = found.video.ok_or_else(|| format("it has no video stream"))?;
         let pixels = Pixels::of(&header).map_err(|detail| format(&detail))?;
-        let (rows, cols) = (header.rows, header.cols);
         let coding = match pixels {
             Pixels::Compressed(code) => Some(Coding::of(path, code)?),
             _ => None,
         };
+        // What ffmpeg delivers has the size of the coding, whatever the header states.
+        let [rows, cols] = coding.as_ref().and_then(|c| c.size).unwrap_or([header.rows, header.cols]);
         let samples = coding.as_ref().map_or_else(|| pixels.samples(), Coding::samples);
         let limited = coding.as_ref().is_some_and(|c| c.limited);
         let size = rows.checked_mul(cols).and_then(|n| n.checked_mul(4)).filter(|n| *n <= MOST_BYTES);

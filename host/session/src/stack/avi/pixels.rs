@@ -52,7 +52,10 @@ impl Pixels {
             ([0, 0, 0, 0] | [b'D', b'I', b'B', b' '], bits @ (24 | 32)) => {
                 Ok(Self::Colours { bytes: usize::from(bits / 8), upwards })
             }
-            ([0, 0, 0, 0], bits) => Err(format!("uncompressed frames of {bits} bits a pixel are not supported")),
+            ([0, 0, 0, 0], bits) => Err(format!(
+                "uncompressed frames of {bits} bits a pixel, without a code of their format, are not supported; record \
+                 as FFV1, or as grey with the code Y16 or Y800"
+            )),
             (code, _) => Ok(Self::Compressed(code)),
         }
     }

@@ -22,6 +22,9 @@ pub(super) struct Variable {
 impl Variable {
     fn text(&self) -> String {
         let size: Vec<String> = self.size.iter().map(u64::to_string).collect();
+        if size.is_empty() {
+            return format!("{} ({})", self.name, self.class);
+        }
         format!("{} ({}, {})", self.name, size.join(" x "), self.class)
     }
 
@@ -102,6 +105,8 @@ mod tests {
         assert!(error.contains("variable `y`") && error.contains("Y (4 x 5 x 6"), "{error}");
         let error = choose(path, &[variable("s", &[1, 1, 2], false)], None).unwrap_err().to_string();
         assert!(error.contains("one array of numbers") && error.contains("save such an array"), "{error}");
+        let error = choose(path, &[variable("g", &[], false)], None).unwrap_err().to_string();
+        assert!(error.contains("found g (uint8);"), "{error}");
         let many = vec![variable("a", &[1, 1], true); 20];
         assert!(choose(path, &many, None).unwrap_err().to_string().contains("and 8 more"));
     }

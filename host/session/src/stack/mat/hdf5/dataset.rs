@@ -7,6 +7,8 @@ use std::io::Result;
 
 const DATASPACE: u16 = 1;
 const DATATYPE: u16 = 3;
+const OLD_FILL: u16 = 4;
+const FILL: u16 = 5;
 const LAYOUT: u16 = 8;
 const FILTERS: u16 = 0xb;
 const MOST_AXES: u64 = 32;
@@ -73,8 +75,11 @@ fn number(message: &[u8]) -> Result<std::result::Result<(Number, bool), &'static
         (1, 4, _) => Number::F32,
         (1, 8, _) => Number::F64,
         (0, _, _) => return Ok(Err("int64")),
+        (1, 2, _) => return Ok(Err("float16")),
+        (3, _, _) => return Ok(Err("text")),
         (6, _, _) => return Ok(Err("complex, or a compound")),
         (7, _, _) => return Ok(Err("cell")),
+        (8, _, _) => return Ok(Err("logical, or an enumeration")),
         _ => return Ok(Err("no number")),
     };
     Ok(Ok((number, big_endian)))
@@ -114,6 +119,34 @@ pub(super) fn layout(messages: &[Message]) -> Result<Layout> {
     })
 }
 
+/// The number, of so many bytes as they lie in the file, that stands where nothing has been written; zero where none is
+/// stated.
+pub(super) fn fill(messages: &[Message], bytes: usize) -> Result<Vec<u8>> {
+    let find = |kind| messages.iter().find(|m| m.kind == kind);
+    let Some(message) = find(FILL).or_else(|| find(OLD_FILL)) else { return Ok(vec![0; bytes]) };
+    if message.shared {
+        return Err(unsupported("a fill value that several arrays share"));
+    }
+    let mut fields = Fields(&message.data);
+    let stated = match (message.kind, if message.kind == FILL { fields.number(1)? } else { 0 }) {
+        (OLD_FILL, _) => true,
+        (_, version @ (1 | 2)) => {
+            // When space is taken, when the number is written, and whether there is one.
+            fields.take(2)?;
+            fields.number(1)? != 0 || version == 1
+        }
+        (_, 3) => fields.number(1)? & 0x20 != 0,
+        (_, version) => return Err(unsupported(format!("fill value message {version}"))),
+    };
+    // A size that is not positive: there is none.
+    let size = if stated { fields.number(4)? as u32 as i32 } else { 0 };
+    match usize::try_from(size) {
+        Ok(size) if size == bytes => Ok(fields.take(size)?.to_vec()),
+        Ok(0) | Err(_) => Ok(vec![0; bytes]),
+        Ok(size) => Err(damaged(format!("a fill value of {size} bytes for numbers of {bytes}"))),
+    }
+}
+
 /// What was done to the chunks of an array, in the order in which it was done.
 pub(super) fn filters(messages: &[Message]) -> Result<Vec<Filter>> {
     let Some(message) = messages.iter().find(|m| m.kind == FILTERS) else { return Ok(Vec::new()) };
@@ -138,4 +171,30 @@ pub(super) fn filters(messages: &[Message]) -> Result<Vec<Filter>> {
         filters.push(Filter { id, values });
     }
     Ok(filters)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn fill_values_of_each_version_are_read() {
+        let of = |kind, data: &[u8]| fill(&[Message { kind, shared: false, data: data.to_vec() }], 2);
+        for (kind, data, expected) in [
+            (OLD_FILL, &[2, 0, 0, 0, 7, 1][..], [7, 1]),
+            (FILL, &[1, 2, 2, 1, 2, 0, 0, 0, 7, 1], [7, 1]),
+            (FILL, &[1, 2, 2, 0, 0, 0, 0, 0], [0, 0]),
+            (FILL, &[1, 2, 2, 0, 0xff, 0xff, 0xff, 0xff], [0, 0]),
+            (FILL, &[2, 3, 2, 1, 2, 0, 0, 0, 7, 1], [7, 1]),
+            (FILL, &[2, 3, 2, 0], [0, 0]),
+            (FILL, &[3, 0x2a, 2, 0, 0, 0, 7, 1], [7, 1]),
+            (FILL, &[3, 0x0a], [0, 0]),
+            (LAYOUT, &[], [0, 0]),
+        ] {
+            assert_eq!(of(kind, data).unwrap(), expected, "{kind}: {data:?}");
+        }
+        assert!(of(FILL, &[3, 0x2a, 4, 0, 0, 0, 7, 1, 0, 0]).unwrap_err().to_string().contains("4 bytes"));
+        assert!(of(FILL, &[3, 0x2a, 2, 0, 0, 0, 7]).is_err() && of(FILL, &[9]).is_err() && of(FILL, &[]).is_err());
+    }
 }

@@ -22,6 +22,9 @@ use std::fs::File;
 use std::io::{Error, ErrorKind};
 use std::path::Path;
 
+/// What is found of an array in one piece that has no place in the file.
+const NEVER_WRITTEN: &str = "none: it was created, and nothing was written into it";
+
 /// An open array of a file of version 7.3.
 #[derive(Debug)]
 pub(in super::super) struct Hdf5Source {
@@ -38,7 +41,14 @@ pub(in super::super) struct Hdf5Source {
 enum Numbers {
     Compact(Vec<u8>),
     Contiguous(u64),
-    Chunked { chunks: Box<Chunks>, pieces: HashMap<Vec<usize>, Piece>, filters: Vec<Filter>, axes: usize },
+    Chunked {
+        chunks: Box<Chunks>,
+        pieces: HashMap<Vec<usize>, Piece>,
+        filters: Vec<Filter>,
+        axes: usize,
+        /// The number that stands where no chunk has been written.
+        fill: Vec<u8>,
+    },
 }
 
 impl Hdf5Source {
@@ -85,6 +95,7 @@ impl Hdf5Source {
                 inside(0, bytes.len() as u64)?;
                 Numbers::Compact(bytes)
             }
+            Layout::Contiguous(u64::MAX) => return Err(Error::new(ErrorKind::NotFound, NEVER_WRITTEN)),
             Layout::Contiguous(address) => {
                 inside(address.saturating_add(source.base), source.size)?;
                 Numbers::Contiguous(address)
@@ -100,7 +111,8 @@ impl Hdf5Source {
                 let chunks = Chunks::new([len, cols, rows], [sides[0], sides[1], sides[2]], number)?;
                 let pieces = pieces::pieces(&mut source, tree, &size, &chunk)?;
                 let filters = dataset::filters(&messages)?;
-                Numbers::Chunked { chunks: Box::new(chunks), pieces, filters, axes: size.len() }
+                let fill = dataset::fill(&messages, number.bytes())?;
+                Numbers::Chunked { chunks: Box::new(chunks), pieces, filters, axes: size.len(), fill }
             }
         };
         Ok(Some(Self { source, numbers, number, big_endian, rows, cols }))
@@ -117,12 +129,12 @@ impl Hdf5Source {
         match &mut self.numbers {
             Numbers::Compact(all) => Ok(all[i * bytes..(i + 1) * bytes].to_vec()),
             Numbers::Contiguous(address) => source.read(*address + i as u64 * bytes as u64, bytes as u64),
-            Numbers::Chunked { chunks, pieces, filters, axes } => {
+            Numbers::Chunked { chunks, pieces, filters, axes, fill } => {
                 let most = chunks.chunk_bytes();
                 let fetch = |at: [usize; 3]| {
                     pieces.get(&at[3 - *axes..]).map(|piece| piece.read(source, filters, most)).transpose()
                 };
-                Ok(chunks.frame(i, &[0], fetch)?.to_vec())
+                Ok(chunks.frame(i, fill, fetch)?.to_vec())
             }
         }
     }
@@ -178,6 +190,11 @@ fn error(path: &Path, e: Error) -> SessionError {
             "save the array as .npy, in Python: numpy.save(\"frames.npy\", \
              h5py.File(\"FILE.mat\")[\"NAME\"][()].swapaxes(1, 2))",
         ),
+        ErrorKind::NotFound if e.raw_os_error().is_none() => {
+            let remedy =
+                "let the program that records write the frames, or choose another array with `--variable NAME`";
+            SessionError::value(path, "frames of the array", "numbers", e, remedy)
+        }
         _ if e.raw_os_error().is_some() => SessionError::io(path, e),
         _ => SessionError::format(path, KIND, e),
     }

@@ -175,6 +175,10 @@ fn symbols(source: &mut Source, address: u64, names: &[u8], links: &mut Vec<(Str
     for entry in entries.chunks_exact(40) {
         let mut fields = Fields(entry);
         let (name, object) = (fields.number(8)? as usize, fields.number(8)?);
+        // A link to a name, which may lead nowhere, has no object of its own.
+        if object == u64::MAX {
+            continue;
+        }
         let name = names.get(name..).ok_or_else(|| damaged("a name lies outside its heap"))?;
         let name = name.split(|byte| *byte == 0).next().unwrap_or_default();
         links.push((String::from_utf8_lossy(name).into_owned(), object));

@@ -78,10 +78,25 @@ impl Piece {
                 DEFLATE => codec::zlib(&bytes, limit)?,
                 SHUFFLE => codec::unshuffle(&bytes, filter.values.first().map_or(1, |size| *size as usize)),
                 FLETCHER32 => checked(bytes)?,
-                id => return Err(unsupported(format!("filter {id}"))),
+                id => return Err(unsupported(format!("filter {id}{}", name_of(id)))),
             };
         }
         Ok(bytes)
+    }
+}
+
+/// What people call a filter that is not read.
+fn name_of(filter: u64) -> &'static str {
+    match filter {
+        4 => " (szip)",
+        5 => " (nbit)",
+        6 => " (scale and offset)",
+        32000 => " (LZF)",
+        32001 | 32026 => " (Blosc)",
+        32004 => " (LZ4)",
+        32008 => " (bitshuffle)",
+        32015 => " (Zstandard)",
+        _ => "",
     }
 }
 
