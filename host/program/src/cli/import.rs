@@ -4,9 +4,9 @@ use super::common::{Strict, warn};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, bail};
-use ommatidia_session::import::{Found, ImportRequest, LengthUnit, REPORT, Source, import};
+use ommatidia_session::import::{Found, ImportRequest, LengthUnit, Source, import};
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::{MANIFEST, Manifest, Role, Session, artifact};
+use ommatidia_session::{Manifest, Role, Session, artifact};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -65,20 +65,13 @@ fn source(text: &str) -> Result<Source, String> {
     }
 }
 
-/// The names of the files of a session that was imported: nothing else may be lost with its folder.
-fn imported(name: &str) -> bool {
-    let of_stack = ["dark", "flat", "bead", "scene"].iter().any(|role| name.starts_with(role));
-    let file = [".npy", ".csv", ".metaData.json"].iter().any(|end| name.ends_with(end));
-    name == MANIFEST || name == REPORT || (of_stack && file)
-}
-
 impl Args {
     /// What the verb reads and writes.
     pub fn files(&self) -> Files {
         Files::reading(self.recordings.iter().map(|source| &source.path))
             .and_reading(&self.like)
             .and_reading(&self.positions)
-            .writing([&self.output], Content::Named(imported))
+            .writing([&self.output], Content::Imported)
     }
 }
 

@@ -18,7 +18,6 @@ use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range};
 use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::stack::ZARR_METADATA;
 use ommatidia_session::{FrameWriter, SampleType, StackSpec};
 use parts::Parts;
 use std::path::{Path, PathBuf};
@@ -94,7 +93,7 @@ impl Args {
             return parts(files).share(share);
         }
         let zarr = self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("zarr"));
-        let content = if zarr { Content::Folder(ZARR_METADATA) } else { Content::File(FileKind::Stack) };
+        let content = if zarr { Content::Zarr } else { Content::File(FileKind::Stack) };
         let limits = self.uncertainty.as_ref().map(|_| limits::beside(&self.output)).into_iter().flatten();
         let files = files
             .writing([self.output.clone()].into_iter().chain(limits), content)

@@ -2,7 +2,7 @@
 
 use super::losses::{Losses, count, list};
 use super::survey::Survey;
-use super::{Opened, Source};
+use super::{Opened, Source, Written};
 use crate::manifest::StackEntry;
 use serde::Serialize;
 use std::fmt::Write;
@@ -46,6 +46,8 @@ pub struct Found {
     pub assigned: Option<&'static str>,
     /// Frames that equal the frame before in every pixel.
     pub repeated: Vec<usize>,
+    /// Files of the session that were written for it; that of the first recording has the manifest, too.
+    pub written: Vec<Written>,
     /// What is lost of it.
     #[serde(flatten)]
     pub losses: Losses,
@@ -84,6 +86,7 @@ impl Found {
             assigned: times.assigned,
             // What stands in for a damaged frame is no frame that the recorder repeated.
             repeated: survey.repeated.iter().copied().filter(|i| !damaged(i)).collect(),
+            written: Vec::new(),
             losses,
             warnings,
             notes: recording.notes.clone(),

@@ -11,12 +11,15 @@ mod notes;
 mod positions;
 mod survey;
 mod times;
+mod written;
 
 pub use found::Found;
 pub use losses::{DamagedFrame, Losses, Torn, losses_of};
 pub use miniscope::Metadata;
 pub use notes::notes_on;
 pub use times::{Gap, Times};
+pub use written::Written;
+pub(crate) use written::not_written;
 
 use crate::error::SessionError;
 use crate::manifest::{ArrayGeometry, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
@@ -159,6 +162,7 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
             true => format!("{name}.npy"),
             false => reference(recording.frames.path(), request.output)?,
         };
+        let mut written: Vec<Written> = request.copy.then(|| Written::frames(file.clone())).into_iter().collect();
         let mut entry = StackEntry::plain(recording.role, file, exposure_ms);
         // A copy is a .npy file.
         entry.variable = request.variable.filter(|_| !request.copy && is_mat(&request.sources[i].path)).map(Into::into);
@@ -177,16 +181,20 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
             describe::places_into(&mut infos, recording.frames.parts());
             entry.table = Some(format!("{name}.csv"));
             writer.table(&format!("{name}.csv"), &infos)?;
+            written.push(Written::of(&writer, &format!("{name}.csv"))?);
         }
         if let Some(metadata) = &recording.metadata {
             let bytes = std::fs::read(&metadata.path).map_err(|e| SessionError::io(&metadata.path, e))?;
             writer.extra(&format!("{name}.metaData.json"), &bytes)?;
+            written.push(Written::of(&writer, &format!("{name}.metaData.json"))?);
         }
         writer.add(entry.clone());
-        found.push(Found::new(&request.sources[i], entry, &recording, &survey));
+        found.push(Found { written, ..Found::new(&request.sources[i], entry, &recording, &survey) });
     }
     let largest = found.iter().map(|f| f.max_dn).fold(0.0, f64::max);
     writer.set_bit_depth(bit_depth(request, largest)?);
+    let manifest = written::manifest(&writer)?;
+    found.iter_mut().take(1).for_each(|first| first.written.push(manifest.clone()));
     let report = serde_json::to_string_pretty(&found).map_err(|e| SessionError::format(request.output, REPORT, e))?;
     writer.extra(REPORT, format!("{report}\n").as_bytes())?;
     writer.finish_checked()?;
