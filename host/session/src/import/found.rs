@@ -119,7 +119,10 @@ impl Found {
             )),
             (Some(rate), Some(set)) => line(format!("  rate        {rate:.3} Hz by the timestamps; {set} Hz was set")),
             (Some(rate), None) => line(format!("  rate        {rate:.3} Hz by the timestamps")),
-            (None, Some(set)) => line(format!("  rate        no timestamps; {set} Hz was set")),
+            (None, Some(set)) => {
+                let what = if self.timestamps.is_some() { "none by the timestamps" } else { "no timestamps" };
+                line(format!("  rate        {what}; {set} Hz was set"));
+            }
             (None, None) => {}
         }
         if let Some(stamps) = self.timestamps {
@@ -135,8 +138,8 @@ impl Found {
             };
             let estimated = match self.times_interpolated {
                 0 => estimated,
-                1 => format!("{estimated}; 1 frame has no row, and a time between those of others (column time_is)"),
-                n => format!("{estimated}; {n} frames have no row, and times between those of others (column time_is)"),
+                1 => format!("{estimated}; 1 frame has no row, and a time by those of others (column time_is)"),
+                n => format!("{estimated}; {n} frames have no row, and times by those of others (column time_is)"),
             };
             line(format!("  timestamps  {of}{unused}{estimated}"));
             if let Some(how) = self.assigned {
