@@ -4,7 +4,7 @@ mod input;
 mod limits;
 mod parts;
 
-use super::common::{ResultScale, Strict, warn};
+use super::common::{ResultScale, Strict, in_json, warn};
 use super::files::{Content, Files};
 use super::shard::shard;
 use super::uncertainty::instrument_for;
@@ -271,9 +271,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let outcome = Outcome {
         json: serde_json::json!({
             "method": name, "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
-            "pixel_um": pixel_um, "interval_s": interval_s, "output": args.output, "warnings": warnings,
+            "pixel_um": pixel_um, "interval_s": interval_s, "output": in_json(&args.output), "warnings": warnings,
             "frames_made": done, "parts_missing": missing, "gaps": losses.gaps.len(),
-            "times": args.times, "intervals": intervals, "lost": losses.lost, "losses": losses,
+            "times": args.times.as_ref().map(in_json), "intervals": intervals, "lost": losses.lost, "losses": losses,
         }),
         text,
     };

@@ -182,7 +182,7 @@ fn metadata_are_read_in_any_encoding_and_what_is_not_used_is_said() {
         let path = folder(desk.path(), &i.to_string(), &[("0.avi", &avi(3)), ("metaData.json", &bytes)]);
         let (found, _) = imported(&path, None).unwrap();
         assert_eq!(found.configured_rate_hz, rate, "{found:?}");
-        assert_eq!(found.warnings.join("|").contains(said), true, "{found:?}");
+        assert!(found.warnings.join("|").contains(said), "{found:?}");
         assert_eq!(found.warnings.is_empty(), said.is_empty(), "{found:?}");
     }
 }
