@@ -113,6 +113,11 @@ pub(super) fn timestamps(path: &Path, frames: usize, set_s: Option<f64>) -> Resu
     let numbers: Option<Vec<usize>> = place(&["framenumber", "framenum"])
         .and_then(|at| rows.iter().map(|row| row.cells[at].parse().ok()).collect())
         .filter(|numbers: &Vec<usize>| numbers.is_sorted());
+    // Version 3 counts from 1.
+    let numbers = match by_camera {
+        Some(_) => numbers.and_then(|all| all.into_iter().map(|n| n.checked_sub(1)).collect()),
+        None => numbers,
+    };
     let time = |row: &Row| {
         let number = grid.number(&row.cells[column]).filter(|v| v.abs() <= LATEST);
         number.ok_or_else(|| {

@@ -110,6 +110,20 @@ fn rows_belong_to_the_frames_of_their_numbers() {
 }
 
 #[test]
+fn numbers_of_version_3_count_from_1() {
+    let desk = tempfile::tempdir().unwrap();
+    let row = |i: usize| format!("1\t{}\t{}\t1\n", i + 1, 50 * i);
+    // The rows of frames 4 and 19 are missing.
+    let table: String = (0..19).filter(|i| *i != 4).map(row).collect();
+    let table = format!("camNum\tframeNum\tsysClock\tbuffer\n{table}");
+    let files: [(&str, &[u8]); 2] = [("msCam1.avi", &avi(20)), ("timestamp.dat", table.as_bytes())];
+    let (found, session) = imported(&folder(desk.path(), "V3", &files), None).unwrap();
+    let times: Vec<f64> = session.stacks()[0].info().iter().map(|info| info.time_s).collect();
+    assert_eq!(times, (0..20).map(|i| f64::from(i) / 20.0).collect::<Vec<_>>());
+    assert_eq!((found.times_estimated, found.times_interpolated), (1, 1));
+}
+
+#[test]
 fn a_table_of_few_rows_or_of_damaged_ones_gives_no_wrong_times() {
     let (found, _) = timed("Frame Number,Time Stamp (ms),Buffer Index\n");
     assert!(found.timestamps.is_none() && found.warnings[0].contains("only its header"), "{found:?}");
