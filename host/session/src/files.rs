@@ -8,6 +8,8 @@
 //!
 //! Every verb lists its files ([`Files`]); [`Files::hold`] checks the rule before the verb begins its work.
 
+mod ours;
+
 pub use super::lock::Lock;
 
 use super::artifact::folder_of;
@@ -49,6 +51,10 @@ pub enum Content {
     Folder(&'static str),
     /// A folder in which every entry has a name that this function accepts.
     Named(fn(&str) -> bool),
+    /// A folder of Zarr that this program wrote, and nothing else in it.
+    Zarr,
+    /// A session as `import` wrote it, and nothing else in its folder.
+    Imported,
 }
 
 /// What becomes of an output that exists.
@@ -74,6 +80,8 @@ impl Content {
             Self::Flash(bytes) => format!("the flash memory of a board, {bytes} bytes"),
             Self::Folder(marker) => format!("an empty folder, or one with a {marker}"),
             Self::Named(_) => "an empty folder, or that of an earlier run".into(),
+            Self::Zarr => "an empty folder, or a Zarr that this program wrote".into(),
+            Self::Imported => "an empty folder, or a session as `import` wrote it".into(),
         }
     }
 
@@ -81,19 +89,18 @@ impl Content {
     fn misfit(&self, path: &Path) -> anyhow::Result<Option<String>> {
         let named = || path.display().to_string();
         let file = std::fs::metadata(path).with_context(named)?;
-        if let Self::Folder(_) | Self::Named(_) = self {
+        if let Self::Folder(_) | Self::Named(_) | Self::Zarr | Self::Imported = self {
             if !file.is_dir() {
                 return Ok(Some("a file".into()));
             }
-            let entries = std::fs::read_dir(path).with_context(named)?;
-            let names = entries.map(|e| Ok(e?.file_name().to_string_lossy().into_owned()));
-            let names = names.collect::<std::io::Result<Vec<String>>>().with_context(named)?;
-            let names: Vec<String> = names.into_iter().filter(|name| !is_temporary(name)).collect();
-            return Ok(match self {
-                Self::Folder(marker) if names.is_empty() || names.iter().any(|n| n == marker) => None,
-                Self::Named(known) => names.into_iter().find(|name| !known(name)),
-                _ => names.into_iter().next(),
-            });
+            let names = ours::names(path).with_context(named)?;
+            return match self {
+                Self::Folder(marker) if names.is_empty() || names.iter().any(|n| n == marker) => Ok(None),
+                Self::Named(known) => Ok(names.into_iter().find(|name| !known(name))),
+                Self::Zarr => ours::not_of_our_zarr(path).with_context(named),
+                Self::Imported => ours::not_of_our_import(path).with_context(named),
+                _ => Ok(names.into_iter().next()),
+            };
         }
         if file.is_dir() {
             return Ok(Some("a folder".into()));
@@ -115,7 +122,7 @@ impl Content {
                 (!found.starts_with(start.as_bytes())).then(|| "another file".into())
             }
             Self::Flash(bytes) => (file.len() != *bytes).then(|| format!("a file of {} bytes", file.len())),
-            Self::Folder(_) | Self::Named(_) => None,
+            Self::Folder(_) | Self::Named(_) | Self::Zarr | Self::Imported => None,
         })
     }
 }
@@ -253,11 +260,6 @@ impl Content {
             _ => false,
         }
     }
-}
-
-/// Whether a name is that of a lock or of an unfinished file.
-fn is_temporary(name: &str) -> bool {
-    name.starts_with('.') && (name.ends_with(".lock") || name.ends_with(".unfinished"))
 }
 
 /// Whether two paths name the same file or folder; of those that do not exist, whether they are the same path.

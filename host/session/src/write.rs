@@ -107,7 +107,14 @@ impl SessionWriter {
         self.finish()
     }
 
-    fn write_manifest(&self) -> Result<(), SessionError> {
+    /// SHA-256 of a file that is complete.
+    pub(crate) fn hash_of(&self, name: &str) -> Result<String, SessionError> {
+        let failed = |e: artifact::ArtifactError| SessionError::io(&self.target.join(name), std::io::Error::other(e));
+        artifact::file_hash(&self.folder.path().join(name)).map_err(failed)
+    }
+
+    /// Writes the manifest as it stands. [`SessionWriter::finish`] writes it again.
+    pub(crate) fn write_manifest(&self) -> Result<(), SessionError> {
         let path = self.target.join(MANIFEST);
         let text = toml::to_string(&self.manifest).map_err(|e| SessionError::format(&path, "session.toml", e))?;
         self.extra(MANIFEST, text.as_bytes())

@@ -1,6 +1,6 @@
 //! `bench`: the virtual instrument measures a session.
 
-use super::common::{Outcome, Run};
+use super::common::{Outcome, Run, in_json};
 use super::files::{Content, Files};
 use ommatidia_bench::{BenchConfig, FamilyName, MeasuredPsfs, StackOf, virtual_session};
 use ommatidia_network::evaluate::resolution;
@@ -112,7 +112,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         seconds,
     );
     let json = serde_json::json!({
-        "session": args.session, "frames": summary.frames, "sensor": [config.sensor.rows, config.sensor.cols],
+        "session": in_json(&args.session), "frames": summary.frames, "sensor": [config.sensor.rows, config.sensor.cols],
         "bead_peak_e": summary.bead_peak_e, "scene_peak_e": summary.scene_peak_e, "full_scale_e": summary.full_scale_e,
         "family": config.family, "effects": settings, "seed": run.seed, "seconds": seconds,
     });

@@ -1,6 +1,6 @@
 //! `check`: looks at a session before it is calibrated.
 
-use super::common::{Findings, any_session};
+use super::common::{Findings, any_session, in_json};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
@@ -69,9 +69,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     }
     let errors = found.at_least(Severity::Error).count();
     let mut json = json!({
-        "session": args.session, "errors": errors, "findings": found.findings,
+        "session": in_json(&args.session), "errors": errors, "findings": found.findings,
         "warnings": found.at_least(Severity::Warning).count() - errors,
-        "scan": found.scan, "picture": args.output,
+        "scan": found.scan, "picture": args.output.as_ref().map(in_json),
     });
     json["seconds"] = json!(started.elapsed().as_secs_f64());
     if errors > 0 {

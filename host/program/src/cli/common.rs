@@ -293,6 +293,11 @@ pub(super) fn finish(run: &Run, result: anyhow::Result<Outcome>) -> ExitCode {
     ExitCode::FAILURE
 }
 
+/// A path in figures for programs: JSON is text, and a path need not be, so bytes that are no text become U+FFFD.
+pub(super) fn in_json(path: impl AsRef<Path>) -> String {
+    path.as_ref().to_string_lossy().into_owned()
+}
+
 /// An error as one JSON object, for programs.
 pub(super) fn json_error(message: &str, causes: &[String]) -> serde_json::Value {
     serde_json::json!({ "error": { "message": message, "causes": causes } })
@@ -325,6 +330,20 @@ mod tests {
             let words = std::iter::once("ommatidia").chain(example.split_whitespace());
             let parsed = crate::cli::Cli::try_parse_from(words);
             assert!(parsed.is_ok(), "the example of {} does not parse: {}", verb.get_name(), parsed.unwrap_err());
+        }
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_path_that_is_no_text_is_read_and_shown() {
+        use std::os::unix::ffi::OsStrExt;
+        let path = std::ffi::OsStr::from_bytes(b"dark=caf\xe9.avi");
+        assert_eq!(super::in_json(path), "dark=caf\u{fffd}.avi");
+        let words = ["ommatidia", "import"].map(std::ffi::OsStr::new).into_iter();
+        for word in [path, std::ffi::OsStr::from_bytes(b"caf\xe9.avi")] {
+            let words = words.clone().chain([word, "-o".as_ref(), std::ffi::OsStr::from_bytes(b"s\xe9")]);
+            let parsed = crate::cli::Cli::try_parse_from(words).unwrap();
+            assert!(format!("{parsed:?}").contains(r#""caf\xE9.avi""#), "{parsed:?}");
         }
     }
 

@@ -1,6 +1,6 @@
 //! `coverage`: how often the truth lies inside the intervals, on scenes that no calibration has used.
 
-use super::common::warn;
+use super::common::{in_json, warn};
 use super::files::Files;
 use super::uncertainty::instrument_for;
 use super::{Outcome, Run};
@@ -97,8 +97,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let note = "some strata have fewer than 20 scenes: their coverage scatters by more than its range; raise --count";
     let warnings = warn((few && args.session.is_none()).then(|| note.into()));
     let json = json!({
-        "widths": args.widths, "method": method.name(), "nominal": nominal, "effects": args.effect,
-        "session": args.session, "seed": run.seed, "totals": totals, "strata": strata, "warnings": warnings,
+        "widths": in_json(&args.widths), "method": method.name(), "nominal": nominal, "effects": args.effect,
+        "session": args.session.as_ref().map(in_json), "seed": run.seed, "totals": totals, "strata": strata, "warnings": warnings,
     });
     Ok(Outcome { text: table(method.name(), nominal, &totals, &strata), json })
 }

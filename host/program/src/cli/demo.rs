@@ -301,7 +301,10 @@ fn closing(
         .iter()
         .map(|t| json!({ "what": t.what, "found": t.found, "target": t.target, "holds": t.holds }))
         .collect();
-    Ok(Outcome { json: json!({ "seconds": seconds, "report": page, "targets": targets, "chapters": figures }), text })
+    Ok(Outcome {
+        json: json!({ "seconds": seconds, "report": super::common::in_json(&page), "targets": targets, "chapters": figures }),
+        text,
+    })
 }
 
 /// A target of the demo.

@@ -1,5 +1,6 @@
 //! `erf`: effective receptive fields of a network beside PSFs, and its filters in real space.
 
+use super::common::in_json;
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use ndarray::Axis;
@@ -94,6 +95,6 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         let _ = writeln!(text, "         energy in the span of the pseudo-inverses {:.3}", s.in_span);
     }
     let mut json = serde_json::to_value(s)?;
-    json["output"] = serde_json::to_value(&args.output)?;
+    json["output"] = in_json(&args.output).into();
     Ok(Outcome { json, text })
 }

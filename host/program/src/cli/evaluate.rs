@@ -1,6 +1,6 @@
 //! `evaluate`: methods side by side on scenes of known truth.
 
-use super::common::{left_out, odd_scenes, warn};
+use super::common::{in_json, left_out, odd_scenes, warn};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, ensure};
@@ -261,9 +261,9 @@ fn outcome(args: &Args, summary: &Summary, predictions: &[(&Path, PredictionFigu
         summary.methods.iter().map(|m| (m.name.clone(), serde_json::to_value(m).unwrap_or_default())).collect();
     let json = serde_json::json!({
         "session": summary.session, "frames": summary.frames, "methods": methods,
-        "prediction": summary.prediction, "evaluation": args.output,
+        "prediction": summary.prediction, "evaluation": args.output.as_ref().map(in_json),
         "predictions": predictions.iter().map(|(path, figures)| {
-            serde_json::json!({ "instrument": path, "figures": figures })
+            serde_json::json!({ "instrument": in_json(path), "figures": figures })
         }).collect::<Vec<_>>(),
     });
     let mut text = table(&summary.methods);

@@ -1,13 +1,15 @@
 //! `import`: recordings of other programs in, a session out.
 
-use super::common::{Strict, warn};
+use super::common::{Strict, in_json, warn};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, bail};
-use ommatidia_session::import::{Found, ImportRequest, LengthUnit, REPORT, Source, import};
+use clap::builder::{OsStringValueParser, TypedValueParser};
+use ommatidia_session::import::{Found, ImportRequest, LengthUnit, Source, import};
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::{MANIFEST, Manifest, Role, Session, artifact};
+use ommatidia_session::{Manifest, Role, Session, artifact};
 use serde_json::json;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
 /// Options of `import`.
@@ -16,7 +18,7 @@ pub struct Args {
     /// Recordings: a folder of numbered .avi or .tif files (such as that of a UCLA Miniscope), an OME-Zarr, or a
     /// file .avi, .tif, .mat or .npy. `dark=`, `flat=`, `bead=` or `scene=` in front says what it shows
     /// [default: beads where there are positions, else scenes]
-    #[arg(required = true, value_name = "[ROLE=]PATH", value_parser = source)]
+    #[arg(required = true, value_name = "[ROLE=]PATH", value_parser = OsStringValueParser::new().try_map(source))]
     recordings: Vec<Source>,
     /// Folder of the session
     #[arg(short, long, value_name = "SESSION")]
@@ -50,26 +52,42 @@ pub struct Args {
     strict: Strict,
 }
 
-fn source(text: &str) -> Result<Source, String> {
+fn source(word: OsString) -> Result<Source, String> {
     let roles = [Role::Dark, Role::Flat, Role::Bead, Role::Scene];
-    let plain = || Source { role: None, path: text.into() };
     // The name of a file may hold a `=`.
-    let Some((name, path)) = text.split_once('=').filter(|_| !Path::new(text).exists()) else { return Ok(plain()) };
-    match roles.into_iter().find(|role| role.name() == name) {
-        Some(_) if path.is_empty() => Err(format!("nothing follows `{name}=`; write {name}=PATH")),
-        Some(role) => Ok(Source { role: Some(role), path: path.into() }),
-        None if name.chars().all(char::is_alphabetic) => {
+    if Path::new(&word).exists() {
+        return Ok(Source { role: None, path: word.into() });
+    }
+    for role in roles {
+        match behind(&word, &format!("{}=", role.name())) {
+            Some(path) if path.is_empty() => {
+                let name = role.name();
+                return Err(format!("nothing follows `{name}=`; write {name}=PATH"));
+            }
+            Some(path) => return Ok(Source { role: Some(role), path: path.into() }),
+            None => {}
+        }
+    }
+    match word.to_string_lossy().split_once('=') {
+        Some((name, _)) if name.chars().all(char::is_alphabetic) => {
             Err(format!("`{name}` is none of the roles dark, flat, bead and scene, and there is no file of that name"))
         }
-        None => Ok(plain()),
+        _ => Ok(Source { role: None, path: word.into() }),
     }
 }
 
-/// The names of the files of a session that was imported: nothing else may be lost with its folder.
-fn imported(name: &str) -> bool {
-    let of_stack = ["dark", "flat", "bead", "scene"].iter().any(|role| name.starts_with(role));
-    let file = [".npy", ".csv", ".metaData.json"].iter().any(|end| name.ends_with(end));
-    name == MANIFEST || name == REPORT || (of_stack && file)
+/// What follows `start` in a word, which need not be text.
+fn behind(word: &OsStr, start: &str) -> Option<OsString> {
+    if let Some(text) = word.to_str() {
+        return text.strip_prefix(start).map(Into::into);
+    }
+    #[cfg(unix)]
+    {
+        use std::os::unix::ffi::OsStrExt;
+        word.as_bytes().strip_prefix(start.as_bytes()).map(|rest| OsStr::from_bytes(rest).into())
+    }
+    #[cfg(not(unix))]
+    None
 }
 
 impl Args {
@@ -78,7 +96,7 @@ impl Args {
         Files::reading(self.recordings.iter().map(|source| &source.path))
             .and_reading(&self.like)
             .and_reading(&self.positions)
-            .writing([&self.output], Content::Named(imported))
+            .writing([&self.output], Content::Imported)
     }
 }
 
@@ -152,7 +170,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         frames as f64 / seconds
     );
     let json = json!({
-        "session": args.output, "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found, "notes": notes,
+        "session": in_json(&args.output), "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found, "notes": notes,
         "frames": frames, "lost": lost, "warnings": warnings, "seconds": seconds,
     });
     args.strict.judge(lossy, Outcome { json, text })

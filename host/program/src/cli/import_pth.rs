@@ -1,5 +1,6 @@
 //! `import-pth` and `export`: import and export of the published PyTorch weights.
 
+use super::common::in_json;
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::Context;
@@ -90,7 +91,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         n.object[0],
         n.object[1],
     );
-    Ok(Outcome { json: serde_json::json!({ "checkpoint": args.output, "network": n, "parameters": parameters }), text })
+    Ok(Outcome {
+        json: serde_json::json!({ "checkpoint": in_json(&args.output), "network": n, "parameters": parameters }),
+        text,
+    })
 }
 
 /// Sizes, noise and maps from the instrument or the options.
@@ -127,7 +131,7 @@ pub fn export(args: &Export, _run: &Run) -> anyhow::Result<Outcome> {
     let checkpoint = Checkpoint::read(&args.checkpoint)?;
     let tensors = pth::export(&checkpoint, &args.output)?;
     Ok(Outcome {
-        json: serde_json::json!({ "weights": args.output, "tensors": tensors }),
+        json: serde_json::json!({ "weights": in_json(&args.output), "tensors": tensors }),
         text: format!("{}: {tensors} tensors\n", args.output.display()),
     })
 }

@@ -246,7 +246,7 @@ impl Cli {
 /// with frames lost (`--strict`).
 pub fn main() -> std::process::ExitCode {
     let cli = Cli::parsed(std::env::args_os()).unwrap_or_else(|error| {
-        if error.use_stderr() && std::env::args().any(|word| word == "--json") {
+        if error.use_stderr() && std::env::args_os().any(|word| word == "--json") {
             // If stdout is closed, the text on stderr and the exit code remain.
             let _ = common::print(format!("{}\n", common::json_error(error.to_string().trim(), &[])).as_bytes());
         }

@@ -4,7 +4,7 @@ mod input;
 mod limits;
 mod parts;
 
-use super::common::{ResultScale, Strict, warn};
+use super::common::{ResultScale, Strict, in_json, warn};
 use super::files::{Content, Files};
 use super::shard::shard;
 use super::uncertainty::instrument_for;
@@ -18,7 +18,6 @@ use ommatidia_network::methods::{MethodKind, Reconstruct, frame_range};
 use ommatidia_physics::sensor::FrameWatch;
 use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
-use ommatidia_session::stack::ZARR_METADATA;
 use ommatidia_session::{FrameWriter, SampleType, StackSpec};
 use parts::Parts;
 use std::path::{Path, PathBuf};
@@ -94,7 +93,7 @@ impl Args {
             return parts(files).share(share);
         }
         let zarr = self.output.extension().is_some_and(|e| e.eq_ignore_ascii_case("zarr"));
-        let content = if zarr { Content::Folder(ZARR_METADATA) } else { Content::File(FileKind::Stack) };
+        let content = if zarr { Content::Zarr } else { Content::File(FileKind::Stack) };
         let limits = self.uncertainty.as_ref().map(|_| limits::beside(&self.output)).into_iter().flatten();
         let files = files
             .writing([self.output.clone()].into_iter().chain(limits), content)
@@ -272,9 +271,9 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let outcome = Outcome {
         json: serde_json::json!({
             "method": name, "frames": count, "seconds_per_frame": per_frame, "plan_seconds": plan_seconds,
-            "pixel_um": pixel_um, "interval_s": interval_s, "output": args.output, "warnings": warnings,
+            "pixel_um": pixel_um, "interval_s": interval_s, "output": in_json(&args.output), "warnings": warnings,
             "frames_made": done, "parts_missing": missing, "gaps": losses.gaps.len(),
-            "times": args.times, "intervals": intervals, "lost": losses.lost, "losses": losses,
+            "times": args.times.as_ref().map(in_json), "intervals": intervals, "lost": losses.lost, "losses": losses,
         }),
         text,
     };

@@ -1,6 +1,6 @@
 //! `report`: renders artifacts to one HTML file.
 
-use super::common::{Outcome, Run};
+use super::common::{Outcome, Run, in_json};
 use super::files::{Content, Files};
 use ommatidia_session::artifact;
 use ommatidia_session::kind::FileKind;
@@ -32,8 +32,9 @@ impl Args {
 pub fn run(args: &Args, _run: &Run) -> anyhow::Result<Outcome> {
     let page = ommatidia_report::render(&args.artifacts)?;
     artifact::write_whole(&args.output, page.as_bytes())?;
+    let artifacts: Vec<String> = args.artifacts.iter().map(in_json).collect();
     Ok(Outcome {
-        json: serde_json::json!({ "report": args.output, "bytes": page.len(), "artifacts": args.artifacts }),
+        json: serde_json::json!({ "report": in_json(&args.output), "bytes": page.len(), "artifacts": artifacts }),
         text: format!("report: {} ({})\n", args.output.display(), ommatidia_report::bytes(page.len() as u64)),
     })
 }

@@ -1,6 +1,6 @@
 //! `simulate`: simulates training pairs with an instrument.
 
-use super::common::{Outcome, Run};
+use super::common::{Outcome, Run, in_json};
 use super::files::{Content, Files};
 use super::shard::shard;
 use ommatidia_model::dataset::{PLAN_FILE, Share, SimulateConfig};
@@ -94,7 +94,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         text += &format!("{} shards are still missing: run the other --shard values\n", progress.missing);
     }
     let json = serde_json::json!({
-        "dataset": args.output, "count": plan.count, "object": plan.object, "frame": plan.frame, "peak_e": plan.peak_e,
+        "dataset": in_json(&args.output), "count": plan.count, "object": plan.object, "frame": plan.frame, "peak_e": plan.peak_e,
         "shards": plan.shards(), "shards_made": progress.made, "shards_kept": progress.kept,
         "shards_missing": progress.missing, "seconds": seconds,
     });

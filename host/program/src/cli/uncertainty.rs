@@ -1,5 +1,6 @@
 //! `uncertainty`: learns intervals for each pixel of a method's reconstructions, on the virtual instrument.
 
+use super::common::in_json;
 use super::files::{Content, Files};
 use super::{Outcome, Run};
 use anyhow::{Context, bail, ensure};
@@ -139,7 +140,7 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         errors.len(),
     );
     let json = json!({
-        "uncertainty": args.output, "made": made, "replicates": scenes.replicates(), "effect_errors": errors,
+        "uncertainty": in_json(&args.output), "made": made, "replicates": scenes.replicates(), "effect_errors": errors,
         "seconds": seconds,
     });
     Ok(Outcome { json, text })

@@ -238,8 +238,21 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Length and time of the last change of a file.
+/// Length and time of the last change of a file; of a folder, those of all files in it, but not in folders below it.
 type Stamp = (u64, Option<SystemTime>);
+
+fn stamp_of(path: &Path) -> std::io::Result<Stamp> {
+    let meta = std::fs::metadata(path)?;
+    let mut stamp = (meta.len(), meta.modified().ok());
+    if meta.is_dir() {
+        // A file that vanishes meanwhile changes the folder, too.
+        let inner = std::fs::read_dir(path)?.flatten().filter_map(|entry| std::fs::metadata(entry.path()).ok());
+        for file in inner.filter(std::fs::Metadata::is_file) {
+            stamp = (stamp.0.wrapping_add(file.len()), stamp.1.max(file.modified().ok()));
+        }
+    }
+    Ok(stamp)
+}
 
 /// Files that are open, the last one used last. A file that has changed is opened again.
 struct Open<T>(Mutex<Vec<Opened<T>>>);
@@ -265,8 +278,7 @@ impl<T> Open<T> {
         path: &Path,
         open: impl FnOnce(&Path) -> anyhow::Result<T>,
     ) -> anyhow::Result<Arc<Mutex<T>>> {
-        let meta = std::fs::metadata(path).with_context(|| format!("{}: is gone", path.display()))?;
-        let stamp = (meta.len(), meta.modified().ok());
+        let stamp = stamp_of(path).with_context(|| format!("{}: is gone", path.display()))?;
         let mut all = lock(&self.0);
         if let Some(at) = all.iter().position(|file| (file.number, file.stamp) == (n, stamp)) {
             let found = all.remove(at);
@@ -284,5 +296,23 @@ impl<T> Open<T> {
         }
         all.push(Opened { number: n, stamp, item: Arc::clone(&item) });
         Ok(item)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(clippy::unwrap_used)]
+    use super::*;
+
+    #[test]
+    fn a_recording_is_opened_again_when_one_of_its_files_grows() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("0.avi");
+        std::fs::write(&file, "ten bytes.").unwrap();
+        let open = Open::<usize>::default();
+        let opened = |made: usize| *lock(&open.get(0, folder.path(), |_| Ok(made)).unwrap());
+        assert_eq!((opened(1), opened(2)), (1, 1));
+        std::fs::write(&file, "eleven byte").unwrap();
+        assert_eq!((opened(3), opened(4)), (3, 3));
     }
 }

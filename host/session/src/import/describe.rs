@@ -1,39 +1,58 @@
 //! What is known of each frame: its position and its time.
 
-use super::{ImportRequest, LengthUnit, Times, positions};
+use super::{ImportRequest, LengthUnit, Times, files_of_rows, positions};
 use crate::error::SessionError;
 use crate::manifest::{ObjectGrid, Role};
 use crate::stack::{FrameReader, Part};
 use crate::table::{self, FrameInfo, Wanted};
-use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Positions of the frames, and where they are from: the table that is asked for, names of files, or the only table of
-/// positions in their folder. `None` where there are none. Positions in pixels are marked (`other` holds `unit`).
+/// Positions of the frames.
+pub(super) struct Positions {
+    /// Each frame with its position.
+    pub infos: Vec<FrameInfo>,
+    /// Where they are from: a table, or the recording by the names of its files.
+    pub from: PathBuf,
+    /// Whether they are in object pixels, not um.
+    pub in_pixels: bool,
+}
+
+/// Positions of the frames: those of the table that is asked for, of names of files, or of the only table of positions
+/// in their folder. `None` where there are none.
 pub(super) fn positions(
     frames: &FrameReader,
     request: &ImportRequest<'_>,
     role: Option<Role>,
     notes: &mut Vec<String>,
-) -> Result<Option<(Vec<FrameInfo>, PathBuf)>, SessionError> {
+    warnings: &mut Vec<String>,
+) -> Result<Option<Positions>, SessionError> {
     let of = |path: &Path, notes: &mut Vec<String>| {
-        of_table(path, frames, request, notes).map(|infos| Some((infos, path.to_path_buf())))
+        let infos = of_table(path, frames, request, notes)?;
+        Ok(Some(Positions { infos, from: path.into(), in_pixels: false }))
     };
     if let Some(path) = request.positions {
         return of(path, notes);
     }
-    // Names of files are positions only where each file is one frame.
+    // Names of files are positions only where each file is one frame: several may lie at several depths.
     let files: Vec<&Path> = frames.parts().iter().map(|p| p.path.as_path()).collect();
-    if files.len() == frames.len()
-        && let Some(found) = positions::in_names(&files, request.unit)?
-    {
+    let single = files.len() == frames.len();
+    if single && let Some(found) = positions::in_names(&files, request.unit)? {
         notes.push("positions are those in the names of the files".into());
-        return Ok(Some((found.iter().enumerate().map(of_name).collect(), frames.path().into())));
+        let infos = found.at.iter().enumerate().map(|(frame, [x_um, y_um, z_um])| FrameInfo {
+            x_um: *x_um,
+            y_um: *y_um,
+            z_um: *z_um,
+            ..FrameInfo::plain(frame, 0.0)
+        });
+        let in_pixels = found.in_pixels;
+        return Ok(Some(Positions { infos: infos.collect(), from: frames.path().into(), in_pixels }));
     }
+    let unit = request.unit.or(Some(LengthUnit::Um));
+    let unused = !single && matches!(positions::in_names(&files, unit), Ok(Some(_)));
     match &tables_of_positions(frames.path())[..] {
         [path] => {
             notes.push(format!("positions are those in {}", path.display()));
-            of(path, notes)
+            of(path, notes).map_err(or_scene)
         }
         [first, second, ..] => {
             let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -41,23 +60,37 @@ pub(super) fn positions(
             let remedy = "choose one: --positions FILE; or write scene= in front of frames that show no beads";
             Err(SessionError::value(frames.path(), "tables of positions", "at most one", found, remedy))
         }
-        [] if role == Some(Role::Bead) => Err(SessionError::value(
-            frames.path(),
-            "positions",
-            "a stage position for each bead frame",
-            "none in names of files, and no table beside them",
-            "give a table: --positions FILE",
-        )),
-        [] => Ok(None),
+        [] if role == Some(Role::Bead) => {
+            let found = match unused {
+                true => "some in names of files, but files of several frames, and no table beside them",
+                false => "none in names of files, and no table beside them",
+            };
+            let (expected, remedy) = ("a stage position for each bead frame", "give a table: --positions FILE");
+            Err(SessionError::value(frames.path(), "positions", expected, found, remedy))
+        }
+        [] => {
+            if unused {
+                let path = frames.path().display();
+                warnings.push(format!(
+                    "{path}: the names of the files look like positions, but the files have several frames: no \
+                     position is taken; give a table (--positions)"
+                ));
+            }
+            Ok(None)
+        }
     }
 }
 
-fn of_name((frame, ([x_um, y_um, z_um], unit)): (usize, &([f64; 3], LengthUnit))) -> FrameInfo {
-    let mut info = FrameInfo { x_um: *x_um, y_um: *y_um, z_um: *z_um, ..FrameInfo::plain(frame, 0.0) };
-    if *unit == LengthUnit::Px {
-        info.other.insert("unit".into(), "px".into());
+/// What else can be done about a table that was not asked for and holds no positions.
+fn or_scene(error: SessionError) -> SessionError {
+    match error {
+        SessionError::Missing { path, field, found, .. } => {
+            let remedy = "call its columns x_um and y_um; or, if the frames show no beads, write scene= in front of \
+                          the recording";
+            SessionError::Missing { path, field, found, remedy }
+        }
+        other => other,
     }
-    info
 }
 
 /// The table in which Miniscope V4 writes how the head of the animal is turned: it holds no positions.
@@ -66,7 +99,7 @@ const HEAD: &str = "headOrientation.csv";
 /// The tables in the folder of a folder recording that may hold positions: all but those of a recorder, and those that
 /// can be read and have other columns.
 fn tables_of_positions(folder: &Path) -> Vec<PathBuf> {
-    if super::times::table_of(folder).is_some() {
+    if super::stamps::table_of(folder).is_some() {
         return Vec::new();
     }
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|e| e.path());
@@ -89,35 +122,13 @@ fn of_table(
     request: &ImportRequest<'_>,
     notes: &mut Vec<String>,
 ) -> Result<Vec<FrameInfo>, SessionError> {
-    let object = request.like.as_ref().map_or(
-        ObjectGrid { rows: frames.rows(), cols: frames.cols(), pixel_um: request.pixel_um.unwrap_or(1.0) },
-        |like| like.object,
-    );
+    let pixel_um = super::pixel_um(request, frames);
+    let of_frames = ObjectGrid { rows: frames.rows(), cols: frames.cols(), pixel_um };
+    let object = request.like.as_ref().map_or(of_frames, |like| like.object);
     let wanted = Wanted { frames: frames.len(), exposure_ms: 0.0, positions: true, object: &object };
     let (infos, of_table) = table::read(path, &wanted)?;
     notes.extend(of_table);
-    by_file_names(path, infos, frames)
-}
-
-/// Sorts the rows of a table with a column of file names into the order of the files.
-fn by_file_names(path: &Path, mut infos: Vec<FrameInfo>, frames: &FrameReader) -> Result<Vec<FrameInfo>, SessionError> {
-    let column = ["file", "filename", "file_name", "name", "image"];
-    let named = infos.first().and_then(|info| info.other.keys().find(|k| column.contains(&k.to_lowercase().as_str())));
-    let Some(column) = named.cloned().filter(|_| frames.parts().len() == frames.len()) else { return Ok(infos) };
-    let stem = |name: &str| Path::new(name).file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let places: HashMap<String, usize> =
-        frames.parts().iter().enumerate().map(|(i, p)| (stem(&p.path.to_string_lossy()), i)).collect();
-    let mut taken = vec![false; infos.len()];
-    for info in &mut infos {
-        let name = info.other.get(&column).cloned().unwrap_or_default();
-        let place = places.get(&stem(&name)).filter(|i| !std::mem::replace(&mut taken[**i], true));
-        info.frame = *place.ok_or_else(|| {
-            let field = format!("column `{column}`, row {}", info.frame);
-            SessionError::value(path, field, "each file of the folder once", name, "correct the table")
-        })?;
-    }
-    infos.sort_by_key(|info| info.frame);
-    Ok(infos)
+    files_of_rows::in_order(path, infos, frames.parts(), notes)
 }
 
 /// Puts the times into the table, from the first frame on. Estimated ones are marked.
@@ -145,7 +156,8 @@ pub(super) fn rate_into(infos: &mut [FrameInfo], parts: &[Part], interval_s: Opt
 
 /// Tenths of a microsecond: the milliseconds of a table, without the error of their binary fractions.
 fn in_table(time_s: f64) -> f64 {
-    (time_s * 1e7).round() / 1e7
+    // Not minus zero.
+    (time_s * 1e7).round() / 1e7 + 0.0
 }
 
 /// Puts into the table where each frame came from, as the recorder counts: its file, and its number there from 0. What

@@ -2,7 +2,7 @@
 
 use super::losses::{Losses, count, list};
 use super::survey::Survey;
-use super::{Opened, Source};
+use super::{Opened, Source, Written};
 use crate::manifest::StackEntry;
 use serde::Serialize;
 use std::fmt::Write;
@@ -46,6 +46,8 @@ pub struct Found {
     pub assigned: Option<&'static str>,
     /// Frames that equal the frame before in every pixel.
     pub repeated: Vec<usize>,
+    /// Files of the session that were written for it; that of the first recording has the manifest, too.
+    pub written: Vec<Written>,
     /// What is lost of it.
     #[serde(flatten)]
     pub losses: Losses,
@@ -84,6 +86,7 @@ impl Found {
             assigned: times.assigned,
             // What stands in for a damaged frame is no frame that the recorder repeated.
             repeated: survey.repeated.iter().copied().filter(|i| !damaged(i)).collect(),
+            written: Vec::new(),
             losses,
             warnings,
             notes: recording.notes.clone(),
@@ -116,7 +119,10 @@ impl Found {
             )),
             (Some(rate), Some(set)) => line(format!("  rate        {rate:.3} Hz by the timestamps; {set} Hz was set")),
             (Some(rate), None) => line(format!("  rate        {rate:.3} Hz by the timestamps")),
-            (None, Some(set)) => line(format!("  rate        no timestamps; {set} Hz was set")),
+            (None, Some(set)) => {
+                let what = if self.timestamps.is_some() { "none by the timestamps" } else { "no timestamps" };
+                line(format!("  rate        {what}; {set} Hz was set"));
+            }
             (None, None) => {}
         }
         if let Some(stamps) = self.timestamps {
@@ -132,8 +138,8 @@ impl Found {
             };
             let estimated = match self.times_interpolated {
                 0 => estimated,
-                1 => format!("{estimated}; 1 frame has no row, and a time between those of others (column time_is)"),
-                n => format!("{estimated}; {n} frames have no row, and times between those of others (column time_is)"),
+                1 => format!("{estimated}; 1 frame has no row, and a time by those of others (column time_is)"),
+                n => format!("{estimated}; {n} frames have no row, and times by those of others (column time_is)"),
             };
             line(format!("  timestamps  {of}{unused}{estimated}"));
             if let Some(how) = self.assigned {

@@ -1,7 +1,7 @@
 //! What is lost of a recording: frames that are missing, left out or damaged, and how that is said. Every verb that
 //! reads a recording names its losses from here.
 
-use super::times::{Gap, Times, usual_first};
+use super::times::{Gap, Times, first_without_table};
 use super::{metadata_of, times_or_why};
 use crate::error::SessionError;
 use crate::stack::{DECODED_FROM, FrameReader, Part};
@@ -220,17 +220,22 @@ fn damaged(parts: &[Part]) -> Vec<DamagedFrame> {
     found
 }
 
+/// Numbers of files that a recorder counts up to.
+const MOST_FILES: u64 = 100_000;
+
 /// Numbers of files that are missing, at most a thousand.
 fn missing(parts: &[Part], filled: bool, times: Option<&Times>) -> Vec<u64> {
     if !filled {
         return between(&parts.iter().map_while(|p| p.number).collect::<Vec<u64>>());
     }
     let numbers: Vec<u64> = parts.iter().filter_map(|p| p.number).collect();
-    let first = times.map_or_else(|| usual_first(parts), |times| times.first_file);
+    let first = times.map_or_else(|| first_without_table(parts), |times| times.first_file);
     let of_table = times.and_then(|times| times.last_file);
     let last = numbers.last().map(|last| of_table.map_or(*last, |of_table| of_table.max(*last)));
+    // Recorders count up by one; a number with more digits is a date or a time.
+    let Some(last) = last.filter(|last| *last < MOST_FILES) else { return Vec::new() };
     let absent = |n: &u64| numbers.binary_search(n).is_err();
-    last.map_or(Vec::new(), |last| (first..=last).filter(absent).take(1000).collect())
+    (first..=last).filter(absent).take(1000).collect()
 }
 
 /// Numbers that are missing between those of files of one frame each, at most a thousand: where most follow each other

@@ -4,19 +4,26 @@
 //! torn, repeated or missing, and the rate by the timestamps. It leaves out nothing without a line in the report.
 
 mod describe;
+mod files_of_rows;
 mod found;
 mod losses;
 mod miniscope;
 mod notes;
 mod positions;
+mod stamps;
 mod survey;
+#[cfg(test)]
+mod tests;
 mod times;
+mod written;
 
 pub use found::Found;
 pub use losses::{DamagedFrame, Losses, Torn, losses_of};
 pub use miniscope::Metadata;
 pub use notes::notes_on;
 pub use times::{Gap, Times};
+pub use written::Written;
+pub(crate) use written::not_written;
 
 use crate::error::SessionError;
 use crate::manifest::{ArrayGeometry, Manifest, ObjectGrid, Optics, Role, SensorSpec, StackEntry};
@@ -112,6 +119,8 @@ struct Opened {
     infos: Option<Vec<FrameInfo>>,
     /// Where the positions are from: a table, or the recording by the names of its files.
     positions: PathBuf,
+    /// Whether the positions are in object pixels, not um.
+    in_pixels: bool,
     role: Role,
     notes: Vec<String>,
     /// What could not be read of what lies beside the frames.
@@ -146,8 +155,8 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
         same_size(&recording.frames, &manifest)?;
         let frames = recording.frames.len();
         let mut infos = recording.infos.take();
-        if let Some(infos) = infos.as_mut().filter(|infos| infos.iter().any(|info| info.other.contains_key("unit"))) {
-            pixels_to_um(recording.frames.path(), &manifest.object, infos, &mut recording.notes)?;
+        if let Some(infos) = infos.as_mut().filter(|_| recording.in_pixels) {
+            crate::table::pixels_to_um(recording.frames.path(), &manifest.object, infos, &mut recording.notes)?;
         }
         if let Some(infos) = infos.as_ref().filter(|_| recording.role == Role::Bead) {
             on_the_grid(&recording, &manifest, infos)?;
@@ -155,10 +164,14 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
         let copy = request.copy.then(|| Copy::start(&writer, &format!("{name}.npy"), &recording.frames)).transpose()?;
         let survey = Survey::of(&mut recording.frames, copy, &mut progress)?;
         let exposure_ms = exposure_ms(request, &mut recording)?;
+        // A table of positions, or a name, says nothing of the exposure.
+        let unstated = |info: &&mut FrameInfo| info.exposure_ms == 0.0;
+        infos.iter_mut().flatten().filter(unstated).for_each(|info| info.exposure_ms = exposure_ms);
         let file = match request.copy {
             true => format!("{name}.npy"),
             false => reference(recording.frames.path(), request.output)?,
         };
+        let mut written: Vec<Written> = request.copy.then(|| Written::frames(file.clone())).into_iter().collect();
         let mut entry = StackEntry::plain(recording.role, file, exposure_ms);
         // A copy is a .npy file.
         entry.variable = request.variable.filter(|_| !request.copy && is_mat(&request.sources[i].path)).map(Into::into);
@@ -177,16 +190,20 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
             describe::places_into(&mut infos, recording.frames.parts());
             entry.table = Some(format!("{name}.csv"));
             writer.table(&format!("{name}.csv"), &infos)?;
+            written.push(Written::of(&writer, &format!("{name}.csv"))?);
         }
         if let Some(metadata) = &recording.metadata {
             let bytes = std::fs::read(&metadata.path).map_err(|e| SessionError::io(&metadata.path, e))?;
             writer.extra(&format!("{name}.metaData.json"), &bytes)?;
+            written.push(Written::of(&writer, &format!("{name}.metaData.json"))?);
         }
         writer.add(entry.clone());
-        found.push(Found::new(&request.sources[i], entry, &recording, &survey));
+        found.push(Found { written, ..Found::new(&request.sources[i], entry, &recording, &survey) });
     }
     let largest = found.iter().map(|f| f.max_dn).fold(0.0, f64::max);
     writer.set_bit_depth(bit_depth(request, largest)?);
+    let manifest = written::manifest(&writer)?;
+    found.iter_mut().take(1).for_each(|first| first.written.push(manifest.clone()));
     let report = serde_json::to_string_pretty(&found).map_err(|e| SessionError::format(request.output, REPORT, e))?;
     writer.extra(REPORT, format!("{report}\n").as_bytes())?;
     writer.finish_checked()?;
@@ -200,11 +217,17 @@ pub fn import(request: &ImportRequest<'_>, mut progress: impl FnMut()) -> Result
 pub fn times_of(frames: &FrameReader) -> Result<Option<Times>, SessionError> {
     let folder = folder_of(frames.path());
     // A table of timestamps belongs to the recording in the same folder; one file of several is only a part of it.
-    let Some(path) = times::table_of(&folder).filter(|_| frames.path().is_dir()) else { return Ok(None) };
+    let Some(path) = stamps::table_of(&folder).filter(|_| frames.path().is_dir()) else { return Ok(None) };
     let metadata = miniscope::metadata(&folder)?;
-    let stamps = times::timestamps(&path, frames.parts().iter().map(|p| p.listed).sum())?;
+    let set_s = metadata.as_ref().and_then(Metadata::interval_s).or(frames.scale().interval_s);
+    let stamps = stamps::timestamps(&path, frames.parts().iter().map(|p| p.listed).sum(), set_s)?;
+    if stamps.time_s.len() < 2 && frames.len() > 1 && set_s.is_none() {
+        // All frames would have the same time.
+        let remedy = "record it again, or give a row for each frame";
+        return Err(SessionError::value(&path, "rows", "two or more", stamps.time_s.len(), remedy));
+    }
     let per_file = metadata.and_then(|m| m.frames_per_file);
-    Ok(Some(Times::of_table(&stamps, frames.parts(), frames.len(), per_file)))
+    Ok(Some(Times::of_table(&stamps, frames.parts(), frames.len(), per_file, set_s)))
 }
 
 /// As [`times_of`]; of a table that cannot be read, such as an empty one, what is wrong with it: its recording is read
@@ -254,7 +277,7 @@ fn metadata_of(path: &Path) -> Result<Option<Metadata>, SessionError> {
 
 /// Whether the folder has a table of timestamps or the metadata of a recorder.
 pub(crate) fn is_of_recorder(folder: &Path) -> bool {
-    times::table_of(folder).is_some() || miniscope::is_there(folder)
+    stamps::table_of(folder).is_some() || miniscope::is_there(folder)
 }
 
 fn folder_of(path: &Path) -> PathBuf {
@@ -265,10 +288,20 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
     let frames = source.frames(request.variable)?;
     let mut notes = Vec::new();
     let (times, warning) = times_or_why(&frames)?;
-    notes.extend(times.iter().flat_map(Times::table_notes));
+    let mut warnings: Vec<String> = warning.into_iter().collect();
+    notes.extend(times.iter().flat_map(Times::sure_notes));
+    if let Some((times, unit)) = times.as_ref().and_then(|times| Some((times, times.assumed.clone()?))) {
+        match times.doubtful_unit {
+            true => warnings.push(format!("{}: {unit}; check the rate", source.path.display())),
+            false => notes.push(unit),
+        }
+    }
     let metadata = metadata_of(&source.path)?;
     if let Some((path, why)) = metadata.as_ref().and_then(|m| Some((m.path.display(), m.unread.as_ref()?))) {
         notes.push(format!("{path}: is no JSON, nothing is taken from it: {why}"));
+    }
+    for (path, what) in metadata.iter().flat_map(|m| m.unused.iter().map(|what| (m.path.display(), what))) {
+        warnings.push(format!("{path}: {what}: is not understood, and not used"));
     }
     notes.extend(notes_on(&frames));
     notes.extend(notes::on_colours(&frames));
@@ -279,10 +312,15 @@ fn open(source: &Source, request: &ImportRequest<'_>) -> Result<Opened, SessionE
         notes.push(format!("{path}: states frames of {} x {}, the files have {} x {}", roi[0], roi[1], of[0], of[1]));
     }
     let wanted = source.role.is_none_or(|role| role == Role::Bead);
-    let found = if wanted { describe::positions(&frames, request, source.role, &mut notes)? } else { None };
+    let found = match wanted {
+        true => describe::positions(&frames, request, source.role, &mut notes, &mut warnings)?,
+        false => None,
+    };
+    warnings.extend(unequal_pixels(request, &frames));
     let role = source.role.unwrap_or(if found.is_some() { Role::Bead } else { Role::Scene });
-    let (infos, positions) = found.map_or((None, PathBuf::new()), |(infos, of)| (Some(infos), of));
-    Ok(Opened { frames, metadata, times, infos, positions, role, notes, warnings: warning.into_iter().collect() })
+    let in_pixels = found.as_ref().is_some_and(|found| found.in_pixels);
+    let (infos, positions) = found.map_or((None, PathBuf::new()), |found| (Some(found.infos), found.from));
+    Ok(Opened { frames, metadata, times, infos, positions, in_pixels, role, notes, warnings })
 }
 
 /// The name of a stack's files in the session, without suffix: its role, and a number from the second stack on.
@@ -299,8 +337,7 @@ fn manifest(request: &ImportRequest<'_>, first: &Opened) -> Result<Manifest, Ses
         return Ok(Manifest { name: stem, stacks: Vec::new(), ..like.clone() });
     }
     let (rows, cols) = (first.frames.rows(), first.frames.cols());
-    let stated = first.frames.scale().pixel_um.map(|[y, _]| y);
-    let pixel_um = request.pixel_um.or(stated).unwrap_or(1.0);
+    let pixel_um = pixel_um(request, &first.frames);
     let side = rows.min(cols);
     Ok(Manifest {
         format: 1,
@@ -317,6 +354,23 @@ fn manifest(request: &ImportRequest<'_>, first: &Opened) -> Result<Manifest, Ses
     })
 }
 
+/// Side of an object pixel, um: as it is asked for, as the files say, or 1.
+fn pixel_um(request: &ImportRequest<'_>, frames: &FrameReader) -> f64 {
+    request.pixel_um.or(frames.scale().pixel_um.map(|[y, _]| y)).unwrap_or(1.0)
+}
+
+/// A warning of pixels that are no squares, where their sides are those that the files state.
+fn unequal_pixels(request: &ImportRequest<'_>, frames: &FrameReader) -> Option<String> {
+    let [y, x] = frames.scale().pixel_um.filter(|_| request.pixel_um.is_none() && request.like.is_none())?;
+    let path = frames.path().display();
+    ((y - x).abs() > 1e-3 * y.max(x)).then(|| {
+        format!(
+            "{path}: pixels are {y} um high and {x} um wide by the file, but a session has square ones: {y} um is taken \
+             for both (--pixel-um)"
+        )
+    })
+}
+
 fn same_size(frames: &FrameReader, manifest: &Manifest) -> Result<(), SessionError> {
     let (found, expected) = ([frames.rows(), frames.cols()], [manifest.sensor.rows, manifest.sensor.cols]);
     if found == expected {
@@ -328,18 +382,6 @@ fn same_size(frames: &FrameReader, manifest: &Manifest) -> Result<(), SessionErr
         found: format!("{} x {}", found[0], found[1]),
         remedy: "import recordings of one sensor, and an instrument or session of the same sensor with --like",
     })
-}
-
-fn pixels_to_um(
-    path: &Path,
-    object: &ObjectGrid,
-    infos: &mut [FrameInfo],
-    notes: &mut Vec<String>,
-) -> Result<(), SessionError> {
-    for info in infos.iter_mut() {
-        info.other.remove("unit");
-    }
-    crate::table::pixels_to_um(path, object, infos, notes)
 }
 
 /// Rejects positions of beads outside the object grid, as the session would be: in the user's file, with what of the

@@ -1,10 +1,9 @@
 //! When the frames of a recording were taken: its table of timestamps, and what the table says of lost frames.
 
-use crate::error::SessionError;
+use super::miniscope;
+use super::stamps::Stamps;
 use crate::stack::Part;
-use crate::table::{Grid, Row, time_column};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
 
 /// The times of the frames of a recording.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -33,6 +32,10 @@ pub struct Times {
     pub camera: Option<String>,
     /// The unit that was taken where the table states none, as a sentence.
     pub assumed: Option<String>,
+    /// Whether that unit may well be another: it is an unusual one, or the rate that was set is not known or differs.
+    pub doubtful_unit: bool,
+    /// Number of rows of the table that repeat the row before, and were left out.
+    pub repeats: usize,
     /// How rows of the table were assigned to frames, where their numbers differ.
     pub assigned: Option<&'static str>,
     /// Number of the first file that the recorder wrote, there or not.
@@ -41,36 +44,8 @@ pub struct Times {
     pub last_file: Option<u64>,
     /// Number of frames of the last file that is there, if it lacks some.
     pub last_should_have: Option<usize>,
-    /// Frames without a row of the table, between others, whose times are interpolated.
+    /// Frames without a row of the table, between others or before them, whose times are interpolated.
     pub interpolated: Vec<usize>,
-}
-
-/// The rows of a table of timestamps.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct Stamps {
-    /// Time of each row, s.
-    pub time_s: Vec<f64>,
-    /// Number of the frame of each row, from 0, where the table has numbers that grow.
-    pub numbers: Option<Vec<usize>>,
-    /// What the table lacks at its end.
-    pub unfinished: Option<String>,
-    /// Which of several cameras these are the times of, and why, as a sentence.
-    pub camera: Option<String>,
-    /// The unit that was taken where the table states none, as a sentence.
-    pub assumed: Option<String>,
-}
-
-impl Stamps {
-    /// The times by the numbers of the frames; those of missing rows are NaN. `None` where numbers say no more than the
-    /// order of the rows.
-    fn by_number(&self) -> Option<Vec<f64>> {
-        let numbers = self.numbers.as_ref().filter(|n| n.last().is_some_and(|last| last + 1 > n.len()))?;
-        // A table with few of its rows is another one.
-        let count = numbers.last().map_or(0, |last| last + 1);
-        let mut all = vec![f64::NAN; Some(count).filter(|n| *n <= 2 * numbers.len())?];
-        numbers.iter().zip(&self.time_s).for_each(|(i, time)| all[*i] = *time);
-        Some(all)
-    }
 }
 
 /// A time between two frames that is longer than others.
@@ -87,123 +62,41 @@ pub struct Gap {
 }
 
 /// A time between frames of more than this many median times is a gap.
-const GAP: f64 = 1.5;
-
-/// Names of tables of timestamps: those of Miniscope V4 and V3.
-const TABLES: [&str; 3] = ["timeStamps.csv", "timestamps.csv", "timestamp.dat"];
-
-/// The table of timestamps of a folder, if it has one.
-pub(super) fn table_of(folder: &Path) -> Option<std::path::PathBuf> {
-    TABLES.into_iter().map(|name| folder.join(name)).find(|path| path.is_file())
-}
-
-/// Reads a table of timestamps. Version 3 of the recorder lists all cameras in one table: the camera of `frames` frames
-/// is taken from it.
-///
-/// # Errors
-/// The table cannot be read, has no column of times with a unit, or a row is no number.
-pub(super) fn timestamps(path: &Path, frames: usize) -> Result<Stamps, SessionError> {
-    let (grid, unfinished) = Grid::read_log(path)?;
-    let place = |names: &[&str]| {
-        let plain = |n: &str| n.to_lowercase().chars().filter(|c| c.is_alphanumeric()).collect::<String>();
-        grid.names.iter().position(|n| names.contains(&plain(n).as_str()))
-    };
-    let in_ms = place(&["sysclock", "timestampms", "timems"]).map(|i| (i, Some(1e-3)));
-    let Some((column, stated)) = in_ms.or_else(|| time_column(&grid.names)) else {
-        let found =
-            if grid.names.is_empty() { "an empty table".into() } else { format!("columns {}", grid.names.join(", ")) };
-        return Err(SessionError::Missing {
-            path: path.into(),
-            field: "column `Time Stamp (ms)`".into(),
-            found,
-            remedy: "name the column `Time Stamp (ms)` or `time_s`",
-        });
-    };
-    let by_camera = place(&["camnum"]);
-    let chosen = by_camera.and_then(|at| camera_of(grid.rows.iter().map(|row| row.cells[at].as_str()), frames));
-    let is_of = |row: &&Row| by_camera.zip(chosen.as_ref()).is_none_or(|(at, (name, _))| row.cells[at] == *name);
-    let rows: Vec<&Row> = grid.rows.iter().filter(is_of).collect();
-    // Frames are counted from 0 or from 1.
-    let numbers = place(&["framenumber", "framenum"]).and_then(|at| {
-        let numbers: Vec<usize> = rows.iter().map(|row| row.cells[at].parse().ok()).collect::<Option<_>>()?;
-        let first = numbers.first().copied().filter(|n| *n <= 1 && numbers.is_sorted_by(|a, b| a < b))?;
-        Some(numbers.into_iter().map(|n| n - first).collect())
-    });
-    let time = |row: &Row| {
-        let number = grid.number(&row.cells[column]).filter(|v| v.is_finite());
-        number.ok_or_else(|| {
-            let field = format!("line {}, column `{}`", row.line, grid.names[column]);
-            let found = format!("`{}` in `{}`", row.cells[column], row.text(grid.separator));
-            SessionError::value(path, field, "a finite number", found, "correct the table, or remove the line")
-        })
-    };
-    let mut time_s = rows.into_iter().map(time).collect::<Result<Vec<_>, _>>()?;
-    let factor = stated.unwrap_or_else(|| likely_unit_s(&time_s));
-    time_s.iter_mut().for_each(|time| *time *= factor);
-    let unit = if factor < 1.0 { "milliseconds" } else { "seconds" };
-    let assumed = stated.is_none().then(|| {
-        format!("column `{}` of the table of timestamps states no unit: {unit} are taken", grid.names[column])
-    });
-    // The clock of version 3 starts with the first frame, whose own time is often that of an earlier recording.
-    if let (Some(_), [first, second, third, ..]) = (by_camera, &mut time_s[..]) {
-        let step = *third - *second;
-        if !(*second - GAP * step..*second).contains(first) {
-            *first = f64::NAN;
-        }
-    }
-    Ok(Stamps { time_s, numbers, unfinished, camera: chosen.and_then(|(_, why)| why), assumed })
-}
-
-/// The unit of times that state none, s: frames follow each other within a second or so, which is hundreds of
-/// milliseconds.
-fn likely_unit_s(times: &[f64]) -> f64 {
-    let mut steps: Vec<f64> = times.windows(2).map(|w| w[1] - w[0]).collect();
-    steps.sort_by(f64::total_cmp);
-    if steps.get(steps.len() / 2).is_some_and(|median| *median < 2.0) { 1.0 } else { 1e-3 }
-}
-
-/// The camera of a table whose number of rows is nearest to that of the frames, and why where the table lists several.
-/// Of several it is camera 1, which is the miniscope in most recordings.
-fn camera_of<'a>(rows: impl Iterator<Item = &'a str>, frames: usize) -> Option<(String, Option<String>)> {
-    let mut counts: Vec<(&str, usize)> = Vec::new();
-    for camera in rows {
-        match counts.iter_mut().find(|(known, _)| *known == camera) {
-            Some((_, count)) => *count += 1,
-            None => counts.push((camera, 1)),
-        }
-    }
-    counts.sort_unstable();
-    let (name, rows) = *counts.iter().min_by_key(|(name, count)| (count.abs_diff(frames), *name != "1"))?;
-    let why = match counts.iter().filter(|(_, count)| *count == frames).count() {
-        1 => format!("it alone has as many rows as there are frames, {frames}"),
-        _ => format!("its {rows} rows are nearest to the {frames} frames of the files; check that it is the miniscope"),
-    };
-    let listed: Vec<String> = counts.iter().map(|(name, count)| format!("{name} ({count} rows)")).collect();
-    let why = (counts.len() > 1).then(|| {
-        format!("the table of timestamps lists cameras {}; camera {name} is taken: {why}", listed.join(" and "))
-    });
-    Some((name.to_string(), why))
-}
+pub(super) const GAP: f64 = 1.5;
 
 impl Times {
     /// Assigns timestamps to the whole frames of a recording. `per_file` is the number of frames that the recorder puts
-    /// into each file, if it is known.
-    pub(super) fn of_table(table: &Stamps, parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
+    /// into each file, and `set_s` the time between frames that was set, s, if they are known.
+    pub(super) fn of_table(
+        table: &Stamps,
+        parts: &[Part],
+        frames: usize,
+        per_file: Option<usize>,
+        set_s: Option<f64>,
+    ) -> Self {
         let listed: usize = parts.iter().map(|p| p.listed).sum();
         let full = per_file.unwrap_or_else(|| parts.iter().map(|p| p.listed).max().unwrap_or(0));
         let fit = |rows: usize| rows == listed || first_numbers(parts).any(|first| fits(rows, parts, full, first));
         // Numbers of frames tell where a row is missing, if the rows themselves do not fit the frames.
-        let numbered = table.by_number().filter(|all| !fit(table.time_s.len()) && fit(all.len()));
-        let mut times = Self::of(numbered.as_ref().unwrap_or(&table.time_s), parts, frames, per_file);
+        let unfit = !fit(table.time_s.len());
+        let numbered = Some(()).filter(|()| unfit).and_then(|()| table.by_number(listed));
+        let by_number = numbered.is_some();
+        let numbered = numbered.or_else(|| table.by_number_from_first().filter(|all| unfit && fit(all.len())));
+        let mut times = Self::of(numbered.as_ref().unwrap_or(&table.time_s), parts, frames, per_file, set_s);
+        if by_number && times.assigned.is_some() {
+            times.assigned = Some("each row belongs to the frame of its number");
+        }
+        times.repeats = table.repeats;
         times.timestamps = table.time_s.len();
         times.unfinished = table.unfinished.clone();
         times.camera = table.camera.clone();
         times.assumed = table.assumed.clone();
+        times.doubtful_unit = table.doubtful_unit;
         times
     }
 
     /// Assigns times to the whole frames of a recording; NaN stands for a row that is missing.
-    fn of(stamps: &[f64], parts: &[Part], frames: usize, per_file: Option<usize>) -> Self {
+    fn of(stamps: &[f64], parts: &[Part], frames: usize, per_file: Option<usize>, set_s: Option<f64>) -> Self {
         let listed: usize = parts.iter().map(|p| p.listed).sum();
         let (mut last_file, mut last_should_have) = (None, None);
         let mut assigned = None;
@@ -219,7 +112,8 @@ impl Times {
             first_file = by_file.unwrap_or(first_file);
             if let Some((per_file, last)) = stated.zip(parts.last().filter(|_| differs)) {
                 let written = stamps.len().div_ceil(per_file) as u64;
-                let before = last.number.unwrap_or(0).saturating_sub(first_file) as usize * per_file;
+                let before = last.number.unwrap_or(0).saturating_sub(first_file) as usize;
+                let before = before.saturating_mul(per_file);
                 last_file = (first_file + written).checked_sub(1).filter(|_| last.number.is_some());
                 last_should_have = stamps
                     .len()
@@ -249,23 +143,28 @@ impl Times {
         times.unused = stamps.len().saturating_sub(times.time_s.len());
         times.before = rows.first().map_or(0, |first| (*first).min(stamps.len()));
         times.after = rows.last().map_or(0, |last| stamps.len().saturating_sub(last + 1));
-        times.interpolate();
+        times.interpolate(set_s);
         times.judge();
-        times.extrapolate(frames);
+        times.extrapolate(frames, set_s);
         times
     }
 
     /// Fills in the times of frames whose rows are missing.
-    fn interpolate(&mut self) {
+    fn interpolate(&mut self, set_s: Option<f64>) {
+        let known: Vec<(usize, f64)> = self.time_s.iter().copied().enumerate().filter(|(_, t)| !t.is_nan()).collect();
         self.interpolated = (0..self.time_s.len()).filter(|i| self.time_s[*i].is_nan()).collect();
+        let slope = |(a, first): (usize, f64), (b, last): (usize, f64)| (last - first) / (b - a) as f64;
+        let mut steps: Vec<f64> = known.windows(2).map(|w| slope(w[0], w[1])).collect();
+        steps.sort_by(f64::total_cmp);
+        let step = steps.get(steps.len() / 2).copied().or(set_s).unwrap_or(0.0);
         for i in &self.interpolated {
-            let before = i.checked_sub(1).map(|b| (b, self.time_s[b]));
-            let after = (i + 1..self.time_s.len()).find(|a| !self.time_s[*a].is_nan()).map(|a| (a, self.time_s[a]));
-            self.time_s[*i] = match (before, after) {
-                (Some((b, first)), Some((a, last))) => first + (last - first) / (a - b) as f64,
-                (None, Some((a, last))) => last - (a - i) as f64 * self.time_s.get(a + 1).map_or(0.0, |t| t - last),
-                (Some((_, time)), None) => time,
-                (None, None) => 0.0,
+            let after = known.partition_point(|(at, _)| at < i);
+            let before = after.checked_sub(1).map(|at| known[at]);
+            self.time_s[*i] = match (before, known.get(after)) {
+                (Some(before), Some(after)) => before.1 + slope(before, *after) * (i - before.0) as f64,
+                (None, Some((at, time))) => time - (at - i) as f64 * step,
+                (Some((at, time)), None) => time + (i - at) as f64 * step,
+                (None, None) => *i as f64 * step,
             };
         }
     }
@@ -277,7 +176,7 @@ impl Times {
 
     /// The times of frames of which each has one, s.
     pub fn of_frames(time_s: &[f64]) -> Self {
-        Self::of(time_s, &[], time_s.len(), None)
+        Self::of(time_s, &[], time_s.len(), None, None)
     }
 
     /// Finds the interval, gaps, and times that do not grow.
@@ -299,28 +198,43 @@ impl Times {
             if step <= 0.0 {
                 self.backwards.push(i + 1);
             } else if step > GAP * median {
-                let missing = ((step / interval).round() as usize).saturating_sub(1);
+                // A step of a damaged row may be longer than any recording.
+                let frames = (step / interval).round().min(f64::from(u32::MAX));
+                let missing = (frames as usize).saturating_sub(1);
                 self.gaps.push(Gap { after_frame: i, time_s: self.time_s[i], seconds: step, missing });
             }
         }
     }
 
-    fn extrapolate(&mut self, frames: usize) {
+    fn extrapolate(&mut self, frames: usize, set_s: Option<f64>) {
         self.estimated = frames - self.time_s.len();
-        let (start, step) = (self.time_s.last().copied(), self.interval_s.unwrap_or(0.0));
+        let (start, step) = (self.time_s.last().copied(), self.interval_s.or(set_s).unwrap_or(0.0));
         let next = |i: usize| start.map_or(i as f64 * step, |t| t + (i + 1) as f64 * step);
         self.time_s.extend((0..self.estimated).map(next));
     }
 
-    /// What is to be known of the table of timestamps: what it lacks at its end, which of several cameras was taken,
-    /// and which unit where it states none.
+    /// What is to be known of the table of timestamps: what it lacks at its end, which rows were left out, which of
+    /// several cameras was taken, and which unit where it states none.
     pub fn table_notes(&self) -> impl Iterator<Item = String> + '_ {
+        self.sure_notes().chain(self.assumed.clone())
+    }
+
+    /// As [`Self::table_notes`], without the unit.
+    pub(super) fn sure_notes(&self) -> impl Iterator<Item = String> + '_ {
         let unfinished = self.unfinished.as_ref().map(|what| format!("the table of timestamps {what}"));
-        unfinished.into_iter().chain(self.camera.clone()).chain(self.assumed.clone())
+        let repeats = Some(self.repeats).filter(|n| *n > 0).map(|n| {
+            let rows = if n == 1 { "1 row that repeats".into() } else { format!("{n} rows that repeat") };
+            format!("the table of timestamps has {rows} the row before; left out")
+        });
+        unfinished.into_iter().chain(repeats).chain(self.camera.clone())
     }
 
     /// Frames a second by the timestamps, without the gaps.
     pub fn rate_hz(&self) -> Option<f64> {
+        // Steps backwards are no time between frames.
+        if !self.backwards.is_empty() {
+            return self.interval_s.map(|interval| 1.0 / interval).filter(|rate| rate.is_finite());
+        }
         let last = self.time_s.len() - self.estimated;
         let whole = self.time_s.get(last.checked_sub(1)?)? - self.time_s.first()?;
         let lost: f64 = self.gaps.iter().map(|g| g.seconds).sum();
@@ -330,16 +244,31 @@ impl Times {
 }
 
 /// The number of the first file where a table does not say more: 1 if there is no file 0.
-pub(super) fn usual_first(parts: &[Part]) -> u64 {
+fn usual_first(parts: &[Part]) -> u64 {
     parts.first().and_then(|p| p.number).unwrap_or(0).min(1)
 }
 
 /// What the number of the first file may have been. Version 4 counts from 0 (`0.avi`), version 3 from 1
 /// (`msCam1.avi`); without `0.avi` the table of timestamps must decide.
 fn first_numbers(parts: &[Part]) -> impl Iterator<Item = u64> {
+    Some(0).filter(|_| is_bare(parts)).into_iter().chain([usual_first(parts)])
+}
+
+/// Whether files are named by their numbers alone.
+fn is_bare(parts: &[Part]) -> bool {
     let stem = parts.first().and_then(|p| p.path.file_stem()).unwrap_or_default().to_string_lossy();
-    let bare = stem.chars().all(|c| c.is_ascii_digit());
-    Some(0).filter(|_| bare).into_iter().chain([usual_first(parts)])
+    stem.chars().all(|c| c.is_ascii_digit())
+}
+
+/// The number of the first file that was recorded, without a table of timestamps: 0 in a folder of version 4, which its
+/// metadata show; else that of the first of several, if it may be the first, or 1; that of a single file.
+pub(super) fn first_without_table(parts: &[Part]) -> u64 {
+    let Some((number, path)) = parts.first().and_then(|p| Some((p.number?, &p.path))) else { return 0 };
+    match parts.len() {
+        _ if is_bare(parts) && miniscope::is_there(crate::artifact::folder_of(path)) => 0,
+        1 => number,
+        _ => number.min(1),
+    }
 }
 
 /// Whether a table fits files of `per_file` frames, counted from `first`, of which some are short or missing; none that

@@ -134,17 +134,26 @@ impl Row {
 
 /// The text of a file: UTF-8 or, as some spreadsheets write it, UTF-16, with or without byte-order mark.
 fn decoded(path: &Path, bytes: &[u8]) -> Result<String, SessionError> {
+    match bytes {
+        [0xff, 0xfe, ..] | [0xfe, 0xff, ..] => {}
+        _ if bytes.contains(&0) => return Err(SessionError::format(path, ".csv", "it holds bytes that are no text")),
+        _ => {}
+    }
+    Ok(text_of(bytes))
+}
+
+/// The text of bytes, without byte-order mark: UTF-16 with one, else UTF-8. A stray character of an older encoding,
+/// such as a micro sign, is no reason to refuse a text.
+pub(crate) fn text_of(bytes: &[u8]) -> String {
     let wide = |big: bool| {
         let unit = |b: &[u8]| if big { u16::from_be_bytes([b[0], b[1]]) } else { u16::from_le_bytes([b[0], b[1]]) };
         String::from_utf16_lossy(&bytes[2..].chunks_exact(2).map(unit).collect::<Vec<_>>())
     };
-    Ok(match bytes {
+    match bytes {
         [0xff, 0xfe, ..] => wide(false),
         [0xfe, 0xff, ..] => wide(true),
-        _ if bytes.contains(&0) => return Err(SessionError::format(path, ".csv", "it holds bytes that are no text")),
-        // A stray character of an older encoding, such as a micro sign, is no reason to refuse a table.
         _ => String::from_utf8_lossy(bytes).trim_start_matches('\u{feff}').to_string(),
-    })
+    }
 }
 
 /// The text without the line `sep=;` of a spreadsheet, and the number of lines that were left out.

@@ -4,7 +4,7 @@ mod columns;
 mod grid;
 mod positions;
 
-pub(crate) use grid::Grid;
+pub(crate) use grid::{Grid, text_of};
 pub(crate) use positions::{beads_inside, pixels_to_um};
 
 use crate::error::SessionError;

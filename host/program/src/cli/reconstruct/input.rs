@@ -68,7 +68,10 @@ impl Input {
     /// The time from one frame to the next, s, where it is the same for all.
     pub fn interval_s(&self) -> Option<f64> {
         match &self.times {
-            Some(times) if times.gaps.is_empty() && times.backwards.is_empty() => times.interval_s,
+            Some(times) if times.gaps.is_empty() && times.backwards.is_empty() => {
+                // Nanoseconds: the rest is the error of the mean's binary fractions.
+                times.interval_s.map(|s| (s * 1e9).round() / 1e9)
+            }
             Some(_) => None,
             None => self.set_interval_s,
         }

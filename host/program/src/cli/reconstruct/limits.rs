@@ -1,6 +1,7 @@
 //! Intervals beside the reconstructions: two further stacks, and warnings.
 
 use super::Output;
+use crate::cli::common::in_json;
 use ndarray::{Array2, ArrayView2};
 use ommatidia_model::instrument::Instrument;
 use ommatidia_network::uncertainty::{Ready, Suspicion, Widths};
@@ -51,7 +52,7 @@ impl<'a> Limits<'a> {
 
     /// Completes the stacks; gives the warnings about `frames`, and the figures for the JSON.
     pub(super) fn finish(self, frames: &Path) -> anyhow::Result<(Vec<String>, serde_json::Value)> {
-        let paths = [self.lower.path, self.upper.path].map(Path::to_path_buf);
+        let paths = [self.lower.path, self.upper.path].map(in_json);
         self.lower.finish()?;
         self.upper.finish()?;
         let listed = |is: &dyn Fn(&Suspicion) -> bool| -> Option<(usize, usize, Suspicion)> {
