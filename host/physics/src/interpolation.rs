@@ -1,6 +1,6 @@
 //! Weights that interpolate an image between its pixels: one kernel for PSFs that are moved by a fraction of a pixel,
-//! for images that effects displace, and for copies of an image such as leaks and ghosts. Linear interpolation would blur
-//! them by `f (1 - f)` px^2 along an axis, where f is the fraction of a pixel.
+//! for images that effects displace, and for copies of an image such as leaks and ghosts. Linear interpolation would
+//! blur them by `f (1 - f)` px^2 along an axis, where f is the fraction of a pixel.
 //!
 //! ```text
 //! out(x) = sum_j in(j) k(j - x),   k(u) = sinc(u) I0(b sqrt(1 - (u/w)^2)) / I0(b)  for |u| < w, 0 beyond
@@ -42,8 +42,8 @@ pub fn tabulated(x: f64) -> (isize, [f32; TAPS]) {
     (floor as isize - BEFORE as isize, std::array::from_fn(|t| a[t] + part * (b[t] - a[t])))
 }
 
-/// The image with its content displaced by `d` = [row, col] pixels, zero outside: along the columns, then along the rows.
-/// It is all zero where the displacement is not finite.
+/// The image with its content displaced by `d` = [row, col] pixels, zero outside: along the columns, then along the
+/// rows. It is all zero where the displacement is not finite.
 pub fn shifted(image: &Array2<f32>, d: [f64; 2]) -> Array2<f32> {
     if d == [0.0, 0.0] {
         return image.clone();

@@ -1,8 +1,8 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
 //! [`result`] defines it, `describe` writes the effects, `names` decides which are causes, `pictures` adds residual
-//! maps, `registration` says where the truths lie, `rest` where what is left lies, `brightness` whether scenes flicker, `adopt` records a new calibration,
-//! [`retrain`] what a fine-tuned network gains, [`mod@file`] stores it all.
+//! maps, `registration` says where the truths lie, `rest` where what is left lies, `brightness` whether scenes flicker,
+//! `adopt` records a new calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores it all.
 
 pub(crate) mod adopt;
 mod brightness;

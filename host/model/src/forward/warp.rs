@@ -50,7 +50,8 @@ pub(super) fn warp(image: &Array2<f32>, shift: &Array2<[f64; 2]>) -> Array2<f32>
 mod tests {
     use super::*;
 
-    /// The fit of a shift depends on this. The light that is aliased costs more: see [`ommatidia_physics::interpolation`].
+    /// The fit of a shift depends on this. The light that is aliased costs more: see
+    /// [`ommatidia_physics::interpolation`].
     #[test]
     fn centroids_move_by_what_is_asked() {
         let centroid = |image: &Array2<f32>| {

@@ -1,8 +1,9 @@
 //! Rotated array: the grid of lenses is rotated on the sensor; the image of each lens keeps its orientation.
 //!
-//! `anchor_l -> R anchor_l + (row_px, col_px)` with `R (row, col) = (row cos a + col sin a, col cos a - row sin a)`, where the anchor is
-//! relative to the centre of the array. The angle a is in mrad, positive from the column axis to the row axis (clockwise
-//! on a screen). The displacement says about which point it turned: a mount has its pivot anywhere.
+//! `anchor_l -> R anchor_l + (row_px, col_px)` with `R (row, col) = (row cos a + col sin a, col cos a - row sin a)`,
+//! where the anchor is relative to the centre of the array. The angle a is in mrad, positive from the column axis to
+//! the row axis (clockwise on a screen). The displacement says about which point it turned: a mount has its pivot
+//! anywhere.
 
 use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};

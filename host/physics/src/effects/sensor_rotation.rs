@@ -1,8 +1,8 @@
 //! Rotated sensor: every focus turns about the centre of the array, so that the image of each lens turns as well.
 //!
-//! `x -> R x + (row_px, col_px)` with `R (row, col) = (row cos a + col sin a, col cos a - row sin a)`, where x is the focus relative to the
-//! centre of the array. The angle a is in mrad, positive from the column axis to the row axis (clockwise on a screen).
-//! The displacement says about which point it turned.
+//! `x -> R x + (row_px, col_px)` with `R (row, col) = (row cos a + col sin a, col cos a - row sin a)`, where x is the
+//! focus relative to the centre of the array. The angle a is in mrad, positive from the column axis to the row axis
+//! (clockwise on a screen). The displacement says about which point it turned.
 
 use super::array_rotation::{ROTATION, turned_by};
 use super::context::{FrameContext, Ray, RayShift};

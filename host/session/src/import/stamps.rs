@@ -25,8 +25,8 @@ pub(super) struct Stamps {
 }
 
 impl Stamps {
-    /// The times by the numbers of `frames` frames; those of missing rows are NaN. `None` where the table has no numbers,
-    /// or they are not all numbers of these frames, or say no more than the order of the rows.
+    /// The times by the numbers of `frames` frames; those of missing rows are NaN. `None` where the table has no
+    /// numbers, or they are not all numbers of these frames, or say no more than the order of the rows.
     pub fn by_number(&self, frames: usize) -> Option<Vec<f64>> {
         let numbers = self.numbers.as_ref()?;
         let (first, last) = (*numbers.first()?, *numbers.last()?);

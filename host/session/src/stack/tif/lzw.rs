@@ -1,6 +1,6 @@
-//! Pages with LZW that the decoder of the `tiff` package refuses: it reads a tile that reaches over the edge of the page
-//! in pieces, and finds no end where a code stands for bytes of two of them. After section 13 of the specification TIFF
-//! 6.0.
+//! Pages with LZW that the decoder of the `tiff` package refuses: it reads a tile that reaches over the edge of the
+//! page in pieces, and finds no end where a code stands for bytes of two of them. After section 13 of the specification
+//! TIFF 6.0.
 
 use super::Tiff;
 use crate::stack::layout::Shape;
