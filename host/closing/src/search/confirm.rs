@@ -2,6 +2,7 @@
 
 use super::candidate::{Candidate, PENALTY};
 use super::finalists::{alike, of_jumps};
+use super::moment::with_best_moment;
 use crate::evidence::Test;
 use crate::fit::repeats::wings;
 use crate::fit::{Fitted, Model, State, Term, refit, refit_from};
@@ -47,10 +48,11 @@ pub(super) fn fitted_beside(
     fit: &Fitted,
     terms: &[Term],
 ) -> Result<Fitted, ForwardError> {
-    match terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object) {
-        true => refit(model, state),
-        false => refit_from(model, state, fit.scenes.clone()),
-    }
+    let next = match terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object) {
+        true => refit(model, state)?,
+        false => refit_from(model, state, fit.scenes.clone())?,
+    };
+    terms.iter().try_fold(next, |next, term| with_best_moment(model, next, term.id()))
 }
 
 /// The smallest share that one of some fits leaves of the excess of chi-squared of another.

@@ -5,7 +5,7 @@
 //! `pairs` adds two effects that hide each other, `shadow` names what is no error of a stronger one, `earn` takes out
 //! effects that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward
 //! elimination), `shares` tells what each of several explains, [`recalibrate`] measures what a new calibration would
-//! gain, `lost` lists what cannot be tested beside truths of uncertain place.
+//! gain, `moment` finds the moment of a jump, `lost` lists what cannot be tested beside truths of uncertain place.
 
 pub mod candidate;
 mod confirm;
@@ -14,6 +14,7 @@ mod exchange;
 mod finalists;
 mod kept;
 pub(crate) mod lost;
+mod moment;
 mod pairs;
 pub(crate) mod prune;
 pub mod recalibrate;

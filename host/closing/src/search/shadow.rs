@@ -11,6 +11,7 @@ use super::select::Search;
 use super::trials::Tried;
 use crate::fit::{Fitted, Term};
 use ommatidia_model::forward::ForwardError;
+use ommatidia_physics::effects::find;
 
 /// Share of what the strongest effect explains that its law leaves at most. On simulators that share no code with this
 /// model, laws of strong effects have left 0.02 to 0.12 % in the form of others.
@@ -32,6 +33,8 @@ impl Search<'_, '_> {
             return Ok(false);
         }
         let (now, found) = (self.now.clone(), self.found.clone());
+        let part = |id: &str| find(id).map(|effect| effect.descriptor().stage.part());
+        let strongest = found.iter().max_by(|a, b| a.held_out_gain.total_cmp(&b.held_out_gain)).map(|f| part(f.id));
         let mut order = self.shadowed.clone();
         order.sort_by(|a, b| b.share.total_cmp(&a.share));
         for Shadowed { id, share, .. } in order.into_iter().filter(|s| !s.id.starts_with("unknown") && s.share > OF_LAW)
@@ -45,7 +48,9 @@ impl Search<'_, '_> {
             let lenses = self.model.lenses();
             let follows = |t: &Term| t.effect.is_of_truths() || lenses > 1 && t.strengths(lenses).len() >= lenses;
             let resembles = |c: &Candidate| self.now.state.terms.iter().any(|t| alike(t, &c.term));
-            let Some(candidate) = candidate.filter(|c| !follows(&c.term) && !resembles(c)) else { continue };
+            let is_of_law = |c: &Candidate| share < OF_LAW && strongest == Some(part(c.term.id()));
+            let is_error = |c: &Candidate| follows(&c.term) || resembles(c) || is_of_law(c);
+            let Some(candidate) = candidate.filter(|c| !is_error(c)) else { continue };
             let next = with(self.model, &self.now.state, candidate);
             let fit = fitted_beside(self.model, next, &self.now, std::slice::from_ref(&candidate.term))?;
             let gain = self.now.held_out.deviance - fit.held_out.deviance;
