@@ -33,7 +33,7 @@ impl Search<'_, '_> {
             return Ok(false);
         }
         let (now, found) = (self.now.clone(), self.found.clone());
-        let part = |id: &str| find(id).map(|effect| effect.descriptor().stage.part());
+        let part = |id: &str| find(id).map(|effect| (effect.descriptor().stage.part(), effect.is_of_the_grid()));
         let strongest = found.iter().max_by(|a, b| a.held_out_gain.total_cmp(&b.held_out_gain)).map(|f| part(f.id));
         let mut order = self.shadowed.clone();
         order.sort_by(|a, b| b.share.total_cmp(&a.share));
