@@ -2,10 +2,10 @@
 //!
 //! What a strong effect leaves because its law errs looks a little like many effects of the catalogue, and fits none of
 //! them: beside each of them structure stays. So an effect that explains far less than a stronger one is named all the
-//! same where it does not resemble that one, and no test sees any structure beside it. Three kinds are taken for an error
-//! of the law all the same: what explains less than [`OF_LAW`] of the strongest, where both are of the same part of the
-//! instrument and both or neither follow the grid of the pixels; values for each lens, which follow any law; and blurred
-//! truths, which follow every error at edges.
+//! same where it does not resemble that one, and no test sees any structure beside it. Three kinds are taken for an
+//! error of the law all the same: what explains less than [`OF_LAW`] of the strongest, where both are of the same part
+//! of the instrument and both or neither follow the grid of the pixels; values for each lens, which follow any law; and
+//! blurred truths, which follow every error at edges.
 
 use super::candidate::{Candidate, Shadowed};
 use super::confirm::{Added, fitted_beside, with};
@@ -40,8 +40,7 @@ impl Search<'_, '_> {
         let strongest = found.iter().max_by(|a, b| a.held_out_gain.total_cmp(&b.held_out_gain)).map(|f| part(f.id));
         let mut order = self.shadowed.clone();
         order.sort_by(|a, b| b.share.total_cmp(&a.share));
-        for Shadowed { id, share, .. } in order.into_iter().filter(|s| !s.id.starts_with("unknown") && s.share > OF_LAW)
-        {
+        for Shadowed { id, share, .. } in order.into_iter().filter(|s| !s.id.starts_with("unknown")) {
             if self.is_full(Tried::Catalogue) {
                 break;
             }
