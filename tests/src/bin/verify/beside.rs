@@ -5,7 +5,7 @@ use crate::steps::Step;
 use crate::toolchain::target_dir;
 use anyhow::{Context, Result};
 use std::fs::File;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 
 /// The argument that makes this program run the steps beside a round, whose number follows.
@@ -19,14 +19,15 @@ pub struct Beside {
 }
 
 impl Beside {
-    /// Starts the steps beside round `number`.
-    pub fn start(number: usize, steps: &[Step]) -> Self {
+    /// Starts the steps beside round `number` with `program`, this program's file. Its path must be found before anything
+    /// is built: the build of all tests puts another file in its place.
+    pub fn start(program: &Path, number: usize, steps: &[Step]) -> Self {
         let log = target_dir().join(format!("verify-beside-{number}.log"));
         let names: Vec<_> = steps.iter().map(|s| s.name).collect();
         println!("\nbeside what follows: {}; their output comes after it (now in {})", names.join("; "), log.display());
         let start = || {
             let out = File::create(&log).with_context(|| format!("{} cannot be written", log.display()))?;
-            let mut command = Command::new(std::env::current_exe().context("this program does not know its file")?);
+            let mut command = Command::new(program);
             command.args([FLAG, &number.to_string()]).stdout(out.try_clone()?).stderr(out);
             command.spawn().with_context(|| format!("{command:?} could not be started"))
         };

@@ -39,8 +39,15 @@ fn main() -> ExitCode {
 /// All steps.
 fn everything() -> Counts {
     let mut total = Counts::default();
+    let program = match std::env::current_exe() {
+        Ok(program) => program,
+        Err(error) => {
+            println!("this program does not find its own file: {error}");
+            return Counts::check(false);
+        }
+    };
     for (number, round) in steps::all().into_iter().enumerate() {
-        let beside = (!round.beside.is_empty()).then(|| Beside::start(number, &round.beside));
+        let beside = (!round.beside.is_empty()).then(|| Beside::start(&program, number, &round.beside));
         total += run(round.front);
         total += beside.map_or_else(Counts::default, Beside::finish);
     }
