@@ -7,8 +7,8 @@
 use super::trials::{Tried, evidence};
 use crate::evidence::Scores;
 use crate::fit::prior::is_prior;
-use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, fitted_columns};
-use ndarray::Array2;
+use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, fitted_columns, pseudo_inverse};
+use ndarray::{Array2, s};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 use ommatidia_physics::linalg::symmetric_eigen;
@@ -22,7 +22,8 @@ const LEFT: f64 = 1e-3;
 const RECORDED: &str = "stage_scale";
 
 /// Ids of the effects of the catalogue of which the registration takes half of the directions or more, at each of their
-/// starting values, and the effect on recorded positions. Empty where the truths are exact.
+/// starting values, and with them the first strength, for which an effect is named: a rotation stays, whatever point it
+/// is about. The effect on recorded positions is always one of them. Empty where the truths are exact.
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
@@ -52,7 +53,7 @@ pub(crate) fn lost(model: &Model<'_>, now: &Fitted) -> Result<Vec<&'static str>,
     for (term, group) in terms.iter().zip(groups) {
         let columns: Vec<usize> = group.collect();
         let [exact, free] = [exact.information(&columns), free.information(&columns)];
-        if kept(&exact, &free).is_none_or(|[kept, all]| 2 * kept > all) {
+        if kept(&exact, &free).is_none_or(|[kept, all]| 2 * kept > all) || first_is_kept(&exact, &free) {
             testable.push(term.id());
         }
     }
@@ -79,6 +80,17 @@ fn kept(exact: &Array2<f64>, free: &Array2<f64>) -> Option<[usize; 2]> {
     (!seen.is_empty()).then_some([kept, seen.len()])
 }
 
+/// Whether the first strength stays determined beside the others: its information beside a free registration is more than
+/// [`LEFT`] of that beside exact truths, both [n, n].
+fn first_is_kept(exact: &Array2<f64>, free: &Array2<f64>) -> bool {
+    let alone = |a: &Array2<f64>| {
+        let others = pseudo_inverse(&a.slice(s![1.., 1..]).to_owned());
+        let with = a.slice(s![0, 1..]);
+        a[[0, 0]] - with.dot(&others.dot(&with))
+    };
+    !exact.is_empty() && alone(free) > LEFT * alone(exact)
+}
+
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
@@ -94,5 +106,14 @@ mod tests {
         assert_eq!(kept(&exact, &arr2(&[[0.9, 0.9], [0.9, 0.9]])).unwrap(), [1, 2]);
         assert_eq!(kept(&exact, &(1e-4 * &exact)).unwrap(), [0, 2]);
         assert!(kept(&Array2::zeros((1, 1)), &Array2::zeros((1, 1))).is_none());
+    }
+
+    #[test]
+    fn an_angle_is_kept_where_only_its_pivot_is_lost() {
+        let exact = arr2(&[[4.0, 0.5, 0.2], [0.5, 9.0, 0.0], [0.2, 0.0, 9.0]]);
+        let pivot_lost = arr2(&[[3.0, 0.0, 0.0], [0.0, 1e-6, 0.0], [0.0, 0.0, 1e-6]]);
+        assert!(first_is_kept(&exact, &exact) && first_is_kept(&exact, &pivot_lost));
+        assert!(!first_is_kept(&exact, &(1e-4 * &exact)));
+        assert!(first_is_kept(&arr2(&[[2.0]]), &arr2(&[[1.0]])) && !first_is_kept(&arr2(&[[2.0]]), &arr2(&[[0.0]])));
     }
 }

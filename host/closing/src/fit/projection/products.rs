@@ -192,9 +192,7 @@ impl<const L: usize> Product<L> for Spread<'_, L> {
                         sums[p] = simd.mul_add_f32s(h, light[k][p], sums[p]);
                     }
                 }
-                for p in 0..P {
-                    out[part + p] = sums[p];
-                }
+                out[part..part + P].copy_from_slice(&sums);
             };
             (0..TOGETHER - 1).for_each(|j| put(j, 0..j + 1));
             (TOGETHER - 1..width).for_each(|j| put(j, 0..TOGETHER));
