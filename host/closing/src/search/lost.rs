@@ -8,7 +8,7 @@ use super::trials::{Tried, evidence};
 use crate::evidence::Scores;
 use crate::fit::prior::is_prior;
 use crate::fit::{Column, Design, Errors, Fitted, Model, Scope, Term, fitted_columns, pseudo_inverse};
-use ndarray::{Array2, s};
+use ndarray::{Array1, Array2, s};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 use ommatidia_physics::linalg::symmetric_eigen;
@@ -80,12 +80,12 @@ fn kept(exact: &Array2<f64>, free: &Array2<f64>) -> Option<[usize; 2]> {
     (!seen.is_empty()).then_some([kept, seen.len()])
 }
 
-/// Whether the first strength stays determined beside the others: its information beside a free registration is more than
-/// [`LEFT`] of that beside exact truths, both [n, n].
+/// Whether the first strength stays determined beside the others: its information beside a free registration is more
+/// than [`LEFT`] of that beside exact truths, both [n, n].
 fn first_is_kept(exact: &Array2<f64>, free: &Array2<f64>) -> bool {
     let alone = |a: &Array2<f64>| {
         let others = pseudo_inverse(&a.slice(s![1.., 1..]).to_owned());
-        let with = a.slice(s![0, 1..]);
+        let with: Array1<f64> = a.row(0).iter().skip(1).copied().collect();
         a[[0, 0]] - with.dot(&others.dot(&with))
     };
     !exact.is_empty() && alone(free) > LEFT * alone(exact)
