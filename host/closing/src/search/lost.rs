@@ -84,6 +84,9 @@ fn kept(exact: &Array2<f64>, free: &Array2<f64>) -> Option<[usize; 2]> {
 /// than [`LEFT`] of that beside exact truths, both [n, n].
 fn first_is_kept(exact: &Array2<f64>, free: &Array2<f64>) -> bool {
     let alone = |a: &Array2<f64>| {
+        if a.nrows() < 2 {
+            return a[[0, 0]];
+        }
         let others = pseudo_inverse(&a.slice(s![1.., 1..]).to_owned());
         let with: Array1<f64> = a.row(0).iter().skip(1).copied().collect();
         a[[0, 0]] - with.dot(&others.dot(&with))
