@@ -103,8 +103,8 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
     let panels = panels.iter().enumerate().map(show).collect::<Result<Vec<_>, _>>()?;
     let um = instrument.manifest.sensor.pixel_pitch_um;
     let text = format!(
-        "Each panel: one lens (row, column; its number where the lenses form no grid); within it the image of a point source at {} × {} positions across the \
-            field, cut out \
+        "Each panel: one lens (row, column; its number where the lenses form no grid); within it the image of a point \
+            source at {} × {} positions across the field, cut out \
          at its chief ray, {window} × {window} pixels ({} µm on the sensor). All panels share one square-root scale, \
          so \
          vignetting is visible.",
@@ -113,7 +113,9 @@ fn gallery(instrument: &Instrument, numbers: &mut Numbers) -> Result<Markup, Rep
         number(window as f64 * um)
     );
     let body = html! {
-        div.lenses style={ "grid-template-columns:repeat(" (tile_columns(&instrument.manifest.array)) ",1fr)" } { @for p in panels { (p) } }
+        div.lenses style={ "grid-template-columns:repeat(" (tile_columns(&instrument.manifest.array)) ",1fr)" } {
+            @for p in panels { (p) }
+        }
         (scale.bar("DN for a unit source"))
     };
     Ok(numbers.figure("Point-spread functions by lens and field.", &text, body))

@@ -17,9 +17,14 @@ impl FileKind {
         if let Some(folder) = Self::of_folder(path) {
             return Ok(folder);
         }
+        let failed = |source| ArtifactError::Io { path: path.into(), source };
+        // To open a pipe would wait for a writer, without end where there is none.
+        if !std::fs::metadata(path).map_err(failed)?.is_file() {
+            return Ok(Self::Unknown);
+        }
         let mut start = Vec::new();
         let read = std::fs::File::open(path).and_then(|f| f.take(16).read_to_end(&mut start));
-        read.map_err(|source| ArtifactError::Io { path: path.into(), source })?;
+        read.map_err(failed)?;
         Ok(match Self::by_start(&start) {
             Some(kind) => kind,
             None if is_tensors(&start) => match artifact::find_header(path)? {

@@ -190,7 +190,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_end_and_give_no_more_pixels_than_they_have_bits(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+        fn any_bytes_end_and_give_at_most_a_pixel_a_bit(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
             prop_assert!(Unpacker::new(&bytes).count() <= 8 * bytes.len());
         }
     }

@@ -35,8 +35,8 @@ pub(crate) fn brightness_note(model: &Model<'_>, before: &Fitted, verdict: Verdi
         .collect();
     let of = differences(&scenes)?;
     Some(format!(
-        "the scenes differ in brightness from what the session says, each by a factor of its own: by {:.1} % to {:+.1} % \
-         (rms {:.1} %), which explains {:.0} % of the excess. A lamp that flickers does that, and so do exposures or \
+        "the scenes differ in brightness from what the session says, each by a factor of its own: by {:.1} % to {:+.1} \
+         % (rms {:.1} %), which explains {:.0} % of the excess. A lamp that flickers does that, and so do exposures or \
          light levels that were not written down: give each frame its `exposure_ms` or `illumination` in the table of \
          the stack",
         100.0 * of.least,

@@ -8,7 +8,7 @@ use crate::data::{Fault, FaultKind};
 use crate::evidence::{JudgedOn, Test};
 use crate::fit::{Fitted, Model, State, Term};
 use crate::search::{Candidate, Found};
-use ommatidia_physics::effects::{COVARIATES, KNOTS, OPERATORS, Param, Stage, WEIGHTS, find, registry};
+use ommatidia_physics::effects::{COVARIATES, KNOTS, MOMENT, OPERATORS, Param, Stage, WEIGHTS, find, registry};
 
 /// The result of a search.
 #[derive(Clone, Copy)]
@@ -338,9 +338,9 @@ fn describe(term: &Term, params: &[Value]) -> String {
             )
         }
         "unknown_view" => format!(
-            "unknown: a factor on the light through lens {} alone (the first is 0) that is fixed to the sensor and that \
-             scenes show, rms {} +- {}; measured on scenes, smoothed as far as half of them predicts the other half; \
-             cause not identified: a droplet, a hair or a scratch near that lens; valid for specimens",
+            "unknown: a factor on the light through lens {} alone (the first is 0) that is fixed to the sensor and \
+             that scenes show, rms {} +- {}; measured on scenes, smoothed as far as half of them predicts the other \
+             half; cause not identified: a droplet, a hair or a scratch near that lens; valid for specimens",
             index(1),
             short(params[0].value),
             short(params[0].sigma)
@@ -413,7 +413,7 @@ fn describe(term: &Term, params: &[Value]) -> String {
 
 /// Whether a value is a moment in a session, which the search chooses and no fit determines.
 fn is_moment(v: &Value) -> bool {
-    v.name == "since_s"
+    v.name == MOMENT
 }
 
 /// A number with three significant digits.

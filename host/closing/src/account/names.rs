@@ -90,8 +90,8 @@ impl Names {
                 Some(format!("{share} is all of the light: it imitates the cause"))
             } else if effect.z < FAINT && is_within_errors(&effect) {
                 Some(format!(
-                    "its evidence is faint (z = {:.1}), and with the error of the calibration its strength is less than \
-                     {WITHIN} errors from none",
+                    "its evidence is faint (z = {:.1}), and with the error of the calibration its strength is less \
+                     than {WITHIN} errors from none",
                     effect.z
                 ))
             } else if let Some(rows) = judged.rows_wave.filter(|_| effect.id == ROW_NOISE) {
@@ -230,8 +230,8 @@ pub(crate) fn end_notes(effects: &[Effect]) -> Vec<String> {
         let all: Vec<String> = ends(e).map(one).collect();
         (!all.is_empty()).then(|| {
             format!(
-                "`{}`: {} is the end of the range that is searched. The true value may lie beyond it, and its error says \
-                 nothing of that",
+                "`{}`: {} is the end of the range that is searched. The true value may lie beyond it, and its error \
+                 says nothing of that",
                 e.id,
                 all.join(", ")
             )

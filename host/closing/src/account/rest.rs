@@ -146,10 +146,10 @@ fn other_noise(scenes: impl IntoIterator<Item = Rest>) -> Option<String> {
     let is_noise = off > OTHER && common < COMMON * off && of_read.contains(&dark);
     is_noise.then(|| {
         format!(
-            "the residual of the scenes looks like noise of another strength: neighbouring pixels have nothing in common, and the noise of \
-             their light is {factor:.2} times what the gain of the calibration gives ({dark:.2} times in dark pixels). \
-             If the camera's gain was {factor:.2} times that of the calibration while the scenes were recorded, \
-             calibrate with flats and darks at their gain"
+            "the residual of the scenes looks like noise of another strength: neighbouring pixels have nothing in \
+             common, and the noise of their light is {factor:.2} times what the gain of the calibration gives \
+             ({dark:.2} times in dark pixels). If the camera's gain was {factor:.2} times that of the calibration \
+             while the scenes were recorded, calibrate with flats and darks at their gain"
         )
     })
 }

@@ -137,7 +137,8 @@ impl Verdict {
             Self::Adequate => "adequate: what is left is noise, or no more than the calibration itself errs by",
             Self::Incomplete => "incomplete: something is left that no effect of the catalogue explains",
             Self::NotThisModel => {
-                "not this model: what is left is no noise of this instrument, and no effect that is known here explains it"
+                "not this model: what is left is no noise of this instrument, and no effect that is known here \
+                 explains it"
             }
         }
     }

@@ -14,7 +14,7 @@ use crate::options::CalibratedOn;
 use crate::search::is_laplacian;
 use ommatidia_model::forward::ForwardError;
 use ommatidia_model::instrument::{Instrument, LightUnit};
-use ommatidia_physics::effects::find;
+use ommatidia_physics::effects::{MOMENT, find};
 use ommatidia_physics::noise::Source;
 use ommatidia_session::Role;
 use std::collections::BTreeSet;
@@ -41,6 +41,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(said.names.note());
     notes.extend(effects.iter().find_map(truth_note));
     notes.extend(settled.views_chi2.filter(|_| verdict != Verdict::Adequate).map(views_note));
+    notes.extend(effects.iter().find_map(moment_note));
     notes.extend(brightness_note(model, &basis.before, verdict));
     notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
@@ -85,8 +86,8 @@ fn sharper_note(found: &[Term]) -> Option<String> {
     let sharper = |t: &&Term| is_laplacian(t) && t.params[0] < 0.0;
     found.iter().find(sharper).map(|_| {
         "the scenes are sharper than their truths predict, everywhere alike: truths that were interpolated or taken by \
-         a camera of less resolution are blurred, and a calibration with beads that are larger than stated has too wide \
-         PSFs; a bead scan of this day distinguishes them"
+         a camera of less resolution are blurred, and a calibration with beads that are larger than stated has too \
+         wide PSFs; a bead scan of this day distinguishes them"
             .into()
     })
 }
@@ -95,10 +96,10 @@ fn sharper_note(found: &[Term]) -> Option<String> {
 fn views_note(chi2: f64) -> String {
     format!(
         "the frames contradict their truths, and the views behind the lenses contradict one another far less: with \
-         specimens that are estimated from the frames, under the instrument as it was calibrated, chi-squared per pixel \
-         is {chi2:.3}. Either the truths are wrong (their resolution, their light, a specimen that has changed since), \
-         or something acts on all views alike, such as light or blur that belongs to the specimen, or a displacement of \
-         the array. Without `truth` in the stack, the rest of the optics is tested all the same"
+         specimens that are estimated from the frames, under the instrument as it was calibrated, chi-squared per \
+         pixel is {chi2:.3}. Either the truths are wrong (their resolution, their light, a specimen that has changed \
+         since), or something acts on all views alike, such as light or blur that belongs to the specimen, or a \
+         displacement of the array. Without `truth` in the stack, the rest of the optics is tested all the same"
     )
 }
 
@@ -107,10 +108,20 @@ fn truth_note(effect: &Effect) -> Option<String> {
     find(&effect.id).filter(|e| e.is_of_truths())?;
     let width_px = effect.params.first()?.value.sqrt();
     Some(format!(
-        "the scenes are sharper than their truths predict, by more than any change of the optics explains: the truths are \
-         blurred, as if by a Gaussian of {width_px:.2} px (standard deviation). What such a blur leaves hides smaller \
-         changes of the optics, and where it is much the search ends. Take truths of a better resolution, or leave \
-         `truth` out of the stack: the specimens are estimated then"
+        "the scenes are sharper than their truths predict, by more than any change of the optics explains: the truths \
+         are blurred, as if by a Gaussian of {width_px:.2} px (standard deviation). What such a blur leaves hides \
+         smaller changes of the optics, and where it is much the search ends. Take truths of a better resolution, or \
+         leave `truth` out of the stack: the specimens are estimated then"
+    ))
+}
+
+/// What the moment of a jump means in another session.
+fn moment_note(effect: &Effect) -> Option<String> {
+    let since_s = effect.params.iter().find(|v| v.name == MOMENT)?.value;
+    Some(format!(
+        "`{}` acts from {since_s:.3} s on, by the times of this session. In sessions with other times the closed \
+         instrument would have it in the wrong frames: close each of them from the calibration, or calibrate again",
+        effect.id
     ))
 }
 
@@ -129,8 +140,8 @@ fn noise_note(basis: &Basis<'_>, now: &Fitted, said: &Said<'_>) -> Option<String
     let is_worth_it = (said.after.chi2_ndf - 1.0 - over).abs() > BY_NOISE;
     is_worth_it.then(|| {
         format!(
-            "the chi-squared of {:.3} per pixel is over the noise of the calibration, and effects that act on the noise \
-             alone leave it as it was. Over the noise with {} it is {:.3}",
+            "the chi-squared of {:.3} per pixel is over the noise of the calibration, and effects that act on the \
+             noise alone leave it as it was. Over the noise with {} it is {:.3}",
             said.after.chi2_ndf,
             ids.join(" and "),
             1.0 + over

@@ -84,8 +84,8 @@ pub(crate) fn leave_lit_darks_out(seen: &mut Observations, noise: &NoiseModel) -
     seen.leave_out(|f| f.role == Role::Dark && lit.iter().any(|b| b.stack == f.stack));
     let note = |b: Bright| {
         format!(
-            "{}, which are as dark as the calibration says ({black_dn:.1} DN): light fell on these darks. They are left \
-             out; take darks again with the light off",
+            "{}, which are as dark as the calibration says ({black_dn:.1} DN): light fell on these darks. They are \
+             left out; take darks again with the light off",
             b.words()
         )
     };

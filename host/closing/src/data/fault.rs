@@ -81,10 +81,10 @@ pub enum FaultKind {
 
 /// What follows from misplaced truths.
 const LEFT_OUT: &str = "With specimens that are estimated from the frames, the views behind the lenses agree with one \
-                        another, so it is no change of the optics. The truths were left out, and no effect was searched \
-                        for. Correct them and close again, or leave `truth` out of the stack; where nothing but their \
-                        place is wrong, `truth_registration_px` and `truth_registration_per_frame` state how well they \
-                        are placed";
+                        another, so it is no change of the optics. The truths were left out, and no effect was \
+                        searched for. Correct them and close again, or leave `truth` out of the stack; where nothing \
+                        but their place is wrong, `truth_registration_px` and `truth_registration_per_frame` state how \
+                        well they are placed";
 
 impl FaultKind {
     /// Whether the truths were left out for it, so that no effect was searched for.

@@ -140,8 +140,8 @@ impl Constancy {
         };
         let (percent, z) = (100.0 * at.tau, at.z);
         Some(format!(
-            "its strength differs by {percent:.0} % between {between} ({z:.1} standard deviations), and a cause has one \
-             strength everywhere"
+            "its strength differs by {percent:.0} % between {between} ({z:.1} standard deviations), and a cause has \
+             one strength everywhere"
         ))
     }
 }

@@ -4,7 +4,7 @@
 //! selection) after full fits of the `finalists` in `confirm`, `exchange` replaces found effects by better ones,
 //! `pairs` adds two effects that hide each other, `shadow` names what is no error of a stronger one, `earn` takes out
 //! effects that a term without a name makes unnecessary, `prune` removes what is no longer needed (backward
-//! elimination), `shares` tells what each of several explains, [`recalibrate`] measures what a new calibration would
+//! elimination), `shares` finds what each of several explains, [`recalibrate`] measures what a new calibration would
 //! gain, `moment` finds the moment of a jump, `lost` lists what cannot be tested beside truths of uncertain place.
 
 pub mod candidate;

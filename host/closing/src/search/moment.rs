@@ -5,11 +5,8 @@
 
 use crate::fit::{Fitted, Model, refit_from};
 use ommatidia_model::forward::ForwardError;
-use ommatidia_physics::effects::Kind;
+use ommatidia_physics::effects::{Kind, MOMENT};
 use ommatidia_session::Role;
-
-/// Name of the parameter of an effect that holds a moment, s.
-const MOMENT: &str = "since_s";
 
 /// A fit whose effect `id` acts from a moment on, with the moment of those between the same two training frames that
 /// predicts the held-out frames best. Other fits stay as they are.

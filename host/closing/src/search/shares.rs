@@ -5,8 +5,9 @@
 //! taken out, then the next (backward elimination): each explains what is lost with it beside those that explain more.
 
 use super::candidate::Found;
+use super::confirm::fitted_beside;
 use super::prune::Pruned;
-use crate::fit::{Fitted, Model, refit, refit_from};
+use crate::fit::{Fitted, Model};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Stage, find};
 
@@ -61,8 +62,5 @@ fn is_shared(found: &Found) -> bool {
 fn without(model: &Model<'_>, fit: &Fitted, term: usize) -> Result<Fitted, ForwardError> {
     let mut state = fit.state.clone();
     let out = state.terms.remove(term);
-    match out.effect.descriptor().stage == Stage::Object {
-        true => refit(model, state),
-        false => refit_from(model, state, fit.scenes.clone()),
-    }
+    fitted_beside(model, state, fit, &[out])
 }

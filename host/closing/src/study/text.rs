@@ -206,7 +206,8 @@ fn kinds(out: &mut String, s: &Summary) -> std::fmt::Result {
     writeln!(
         out,
         "### By kind of instruments\n\n| instruments | sigma | chi2 / pixel of the effect | true effect first | a \
-         false name | explained F |\n|---|---|---|---|---|---|"
+         false name | explained F |\n\
+|---|---|---|---|---|---|"
     )?;
     for (kind, of) in &s.single_by_kind {
         for b in of {
@@ -308,7 +309,8 @@ pub(super) fn line(o: &Outcome) -> String {
 }
 
 /// Head of a table of sessions, one [`line`] each.
-pub(super) const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | explained F |\n|---|---|---|---|---|---|---|";
+pub(super) const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | explained F |\n\
+|---|---|---|---|---|---|---|";
 
 fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Result {
     let mut of: Vec<&Outcome> = all.iter().filter(|o| o.case.question == question && o.error.is_none()).collect();

@@ -13,7 +13,8 @@ pub enum BeadError {
     Session(#[from] SessionError),
     /// Too few frames.
     #[error(
-        "{path}: expected at least {expected} bead frames that are not marked as damaged, found {found}; scan more positions"
+        "{path}: expected at least {expected} bead frames that are not marked as damaged, found {found}; scan \
+         more positions"
     )]
     TooFew {
         /// The file.

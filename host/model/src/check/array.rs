@@ -167,8 +167,8 @@ fn one_by_one(lattice: &Lattice, places: &[[f64; 2]], m: &Manifest, scan: &Scan)
     let severity = if 3 * found < 2 * places.len() { Severity::Error } else { Severity::Warning };
     let list: Vec<String> = spots.iter().map(|p| format!("[{:.0}, {:.0}]", p[0], p[1])).collect();
     let text = format!(
-        "the foci of one bead form {} spots, {found} of them where a lens is declared and {elsewhere} elsewhere; {}: if \
-         each spot is a lens, write under [array] in session.toml `rows = 1`, `cols = {}`, `pitch_px = {:.0}` and \
+        "the foci of one bead form {} spots, {found} of them where a lens is declared and {elsewhere} elsewhere; {}: \
+         if each spot is a lens, write under [array] in session.toml `rows = 1`, `cols = {}`, `pitch_px = {:.0}` and \
          `lenses_px = [{}]`; if not, look for what else shines",
         spots.len(),
         declares(m),

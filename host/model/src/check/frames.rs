@@ -254,7 +254,8 @@ fn lit_dark(s: &StackLevels, top_dn: f64) -> Option<Finding> {
     (high - low > (LIT[0] * low.abs()).max(LIT[1] * top_dn).max(LIT[2])).then(|| {
         let text = format!(
             "{}: the middle levels of darks of one exposure reach from {low:.1} to {high:.1} DN: light fell on them \
-             (are they flats or scenes?), or the sensor warmed up. Measure them again, or leave them out of session.toml",
+             (are they flats or scenes?), or the sensor warmed up. Measure them again, or leave them out of \
+             session.toml",
             s.file
         );
         Finding::new("black level", Severity::Error, text)
@@ -292,8 +293,8 @@ fn black(levels: &[StackLevels], top_dn: f64) -> Vec<Finding> {
         if lowest < black - 6.0 * noise && lowest < 0.5 * black {
             let text = format!(
                 "{}: the middle level of a frame is {lowest:.1} DN, that of the darks {black:.1} DN: the dark frames \
-                 look subtracted already, or the darks are no darks (flats or scenes in their place?). Write raw frames, \
-                 or leave out the darks and write none that were subtracted",
+                 look subtracted already, or the darks are no darks (flats or scenes in their place?). Write raw \
+                 frames, or leave out the darks and write none that were subtracted",
                 s.file
             );
             findings.push(Finding::new("black level", Severity::Error, text));

@@ -7,12 +7,15 @@ use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
 use super::evidence::{Evidence, EvidenceFrame};
-use super::place::displacement_px;
+use super::place::far_displacement_px;
 use ommatidia_session::Role;
 use std::ops::{AddAssign, SubAssign};
 
 /// The effect; its formula is in the documentation of the module.
 pub(super) struct ArrayJump;
+
+/// Name of the parameter of an effect that holds the moment from which on it acts, s. The search chooses it.
+pub const MOMENT: &str = "since_s";
 
 /// A moment after all frames.
 const NEVER_S: f64 = 1e12;
@@ -24,7 +27,7 @@ static DESCRIPTOR: Descriptor = Descriptor {
     params: &[
         Param::strength("row_px", "px", 0.005, -50.0, 50.0),
         Param::strength("col_px", "px", 0.005, -50.0, 50.0),
-        Param::choice("since_s", "s", 0.0, [-NEVER_S, NEVER_S]),
+        Param::choice(MOMENT, "s", 0.0, [-NEVER_S, NEVER_S]),
     ],
     lookalikes: &[
         Lookalike {
@@ -37,8 +40,6 @@ static DESCRIPTOR: Descriptor = Descriptor {
 
 /// Frames on each side of a jump at least: one that stands alone is a frame that went wrong.
 const EACH_SIDE: usize = 2;
-/// Foci are a few pixels wide: frames are linear in displacements below this, pixels.
-const FAR_PX: f64 = 2.0;
 
 impl Effect for ArrayJump {
     fn descriptor(&self) -> &'static Descriptor {
@@ -59,12 +60,7 @@ impl Effect for ArrayJump {
         scenes.sort_by(|a, b| a.cx.time_s.total_cmp(&b.cx.time_s));
         let Some(first) = moment(&scenes) else { return vec![vec![0.0, 0.0, NEVER_S]] };
         let since_s = (scenes[first - 1].cx.time_s + scenes[first].cx.time_s) / 2.0;
-        let pair = |f: &&EvidenceFrame<'_>| {
-            let expected = f.light_e.mapv(|e| e * f.cx.gain_dn_per_e as f32);
-            [&expected + &f.residual_dn, expected]
-        };
-        let after = displacement_px(scenes[first..].iter().map(pair)).map(|d| d.map(|v| v as f64));
-        let far = after.filter(|d| d[0].hypot(d[1]) >= FAR_PX);
+        let far = far_displacement_px(scenes[first..].iter().copied());
         [[0.0; 2]].into_iter().chain(far).map(|[row, col]| vec![row, col, since_s]).collect()
     }
 
@@ -152,19 +148,11 @@ impl SubAssign for Displaced {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::place::testing::foci;
     use ndarray::Array2;
 
     /// Frames of foci, one a second, of which those from `first` on lie beside the expected ones.
     fn evidence(frames: usize, first: usize, moved: [f32; 2]) -> Evidence<'static> {
-        let foci = |moved: [f32; 2]| {
-            Array2::from_shape_fn((60, 72), |(r, c)| {
-                let light = |i: usize| {
-                    let [y, x] = [(i * 23 % 44 + 8) as f32 + moved[0], (i * 31 % 56 + 8) as f32 + moved[1]];
-                    (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 3.0).exp()
-                };
-                (0..9).map(|i| 300.0 * light(i)).sum::<f32>()
-            })
-        };
         let frame = |k: usize| {
             let light_e = foci([0.0; 2]);
             let residual_dn = foci(if k >= first { moved } else { [0.0; 2] }) - &light_e;

@@ -6,7 +6,7 @@ use super::context::{FrameContext, Ray, RayShift};
 use super::descriptor::{Descriptor, Lookalike, Param, Stage};
 use super::effect::Effect;
 use super::evidence::{Evidence, EvidenceFrame};
-use super::place::displacement_px;
+use super::place::far_displacement_px;
 use ommatidia_session::Role;
 
 /// The effect; its formula is in the documentation of the module.
@@ -45,22 +45,10 @@ impl Effect for ArrayShift {
     /// No displacement, and where the frames lie beside the expected ones, if that is too far for a small change to
     /// show.
     fn guess(&self, evidence: &Evidence<'_>) -> Vec<Vec<f64>> {
-        let far = displacement(evidence).filter(|d| d[0].hypot(d[1]) >= FAR_PX);
+        let pictured = |f: &&EvidenceFrame<'_>| matches!(f.cx.role, Role::Scene | Role::Bead);
+        let far = far_displacement_px(evidence.frames.iter().filter(pictured));
         [vec![0.0, 0.0]].into_iter().chain(far.map(|d| d.to_vec())).collect()
     }
-}
-
-/// Foci are a few pixels wide: frames are linear in displacements below this, pixels.
-const FAR_PX: f64 = 2.0;
-
-/// The displacement of the frames from what is expected of them; None: none is clear.
-fn displacement(evidence: &Evidence<'_>) -> Option<[f64; 2]> {
-    let pictured = |f: &&EvidenceFrame<'_>| matches!(f.cx.role, Role::Scene | Role::Bead);
-    let pair = |f: &EvidenceFrame<'_>| {
-        let expected = f.light_e.mapv(|e| e * f.cx.gain_dn_per_e as f32);
-        [&expected + &f.residual_dn, expected]
-    };
-    displacement_px(evidence.frames.iter().filter(pictured).map(pair)).map(|d| d.map(|v| v as f64))
 }
 
 #[cfg(test)]
@@ -68,18 +56,10 @@ fn displacement(evidence: &Evidence<'_>) -> Option<[f64; 2]> {
 mod tests {
     use super::*;
     use crate::effects::FrameContext;
+    use crate::effects::place::testing::foci;
     use ndarray::Array2;
 
     fn evidence(moved: [f32; 2]) -> Evidence<'static> {
-        let foci = |moved: [f32; 2]| {
-            Array2::from_shape_fn((60, 72), |(r, c)| {
-                let light = |i: usize| {
-                    let [y, x] = [(i * 23 % 44 + 8) as f32 + moved[0], (i * 31 % 56 + 8) as f32 + moved[1]];
-                    (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 3.0).exp()
-                };
-                (0..9).map(|i| 300.0 * light(i)).sum::<f32>()
-            })
-        };
         let cx = FrameContext { role: Role::Scene, gain_dn_per_e: 1.0, ..FrameContext::default() };
         let light_e = foci([0.0; 2]);
         let residual_dn = foci(moved) - &light_e;

@@ -112,6 +112,7 @@ mod vignetting;
 mod wave;
 mod wavefront_drift;
 
+pub use array_jump::MOMENT;
 pub use chain::{Chain, EffectError, Layout};
 pub use context::{FrameContext, Previous, Ray, RayShift, Record};
 pub use descriptor::{Descriptor, Kind, Lookalike, Param, Stage};

@@ -1,5 +1,6 @@
 //! Where the light of frames lies, as compared with what is expected of them.
 
+use super::evidence::EvidenceFrame;
 use super::smooth::gaussian_blur;
 use crate::fft2::{RealFft2, fast_size};
 use ndarray::{Array2, s};
@@ -12,6 +13,20 @@ const MOST_PX: usize = 16;
 const BETTER: f32 = 1.2;
 /// Width of the blur that is subtracted from the light, pixels: what is broad has no place.
 const BROAD_PX: f64 = 5.0;
+
+/// Foci are a few pixels wide: frames are linear in displacements below this, pixels.
+const FAR_PX: f64 = 2.0;
+
+/// The displacement (row, col), px, of frames from what is expected of them; None: none is clear, or it is too small
+/// for frames to be far from linear in it.
+pub(super) fn far_displacement_px<'f, 'a: 'f>(frames: impl Iterator<Item = &'f EvidenceFrame<'a>>) -> Option<[f64; 2]> {
+    let pair = |f: &EvidenceFrame<'_>| {
+        let expected = f.light_e.mapv(|e| e * f.cx.gain_dn_per_e as f32);
+        [&expected + &f.residual_dn, expected]
+    };
+    let found = displacement_px(frames.map(pair)).map(|d| d.map(|v| v as f64));
+    found.filter(|d| d[0].hypot(d[1]) >= FAR_PX)
+}
 
 /// The displacement (row, col), whole pixels, at which measured frames fit the expected ones best: the maximum of their
 /// cross-correlation, summed over the `pairs` of a measured and an expected frame, [rows, cols], in one unit. Frames of
@@ -47,4 +62,21 @@ pub fn displacement_px(pairs: impl IntoIterator<Item = [Array2<f32>; 2]>) -> Opt
     let all = (-within..=within).flat_map(|r| (-within..=within).map(move |c| [r, c]));
     let best = all.max_by(|a, b| at(*a).total_cmp(&at(*b)))?;
     (at(best) > BETTER * at([0, 0]).max(0.0)).then_some(best)
+}
+
+/// Light for tests.
+#[cfg(test)]
+pub(super) mod testing {
+    use ndarray::Array2;
+
+    /// Nine foci on [60, 72] pixels, displaced by (row, col) pixels.
+    pub(in super::super) fn foci(moved: [f32; 2]) -> Array2<f32> {
+        Array2::from_shape_fn((60, 72), |(r, c)| {
+            let light = |i: usize| {
+                let [y, x] = [(i * 23 % 44 + 8) as f32 + moved[0], (i * 31 % 56 + 8) as f32 + moved[1]];
+                (-((r as f32 - y).powi(2) + (c as f32 - x).powi(2)) / 3.0).exp()
+            };
+            (0..9).map(|i| 300.0 * light(i)).sum::<f32>()
+        })
+    }
 }

@@ -15,7 +15,7 @@ pub(super) struct SensorRotation;
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "sensor_rotation",
     stage: Stage::Geometry,
-    summary: "x rotated by the angle about the centre of the array, + (row_px, col_px): the sensor turned about any point",
+    summary: "x rotated by the angle about the centre of the array, + (row_px, col_px): the sensor is rotated",
     params: &ROTATION,
     lookalikes: &[
         Lookalike {

@@ -150,7 +150,10 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
             "train_seconds": seconds, "checkpoint": source,
         }));
     }
-    let json = json!({ "ablation": table, "steps": args.steps, "frames": judged.summary.frames, "evaluation": super::common::in_json(&evaluation) });
+    let json = json!({
+        "ablation": table, "steps": args.steps, "frames": judged.summary.frames,
+        "evaluation": super::common::in_json(&evaluation),
+    });
     ommatidia_session::artifact::write_whole(&args.output.join(TABLE), format!("{json}\n").as_bytes())?;
     Ok(Outcome { json, text })
 }

@@ -98,7 +98,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     let warnings = warn((few && args.session.is_none()).then(|| note.into()));
     let json = json!({
         "widths": in_json(&args.widths), "method": method.name(), "nominal": nominal, "effects": args.effect,
-        "session": args.session.as_ref().map(in_json), "seed": run.seed, "totals": totals, "strata": strata, "warnings": warnings,
+        "session": args.session.as_ref().map(in_json), "seed": run.seed, "totals": totals,
+        "strata": strata, "warnings": warnings,
     });
     Ok(Outcome { text: table(method.name(), nominal, &totals, &strata), json })
 }

@@ -301,10 +301,8 @@ fn closing(
         .iter()
         .map(|t| json!({ "what": t.what, "found": t.found, "target": t.target, "holds": t.holds }))
         .collect();
-    Ok(Outcome {
-        json: json!({ "seconds": seconds, "report": super::common::in_json(&page), "targets": targets, "chapters": figures }),
-        text,
-    })
+    let report = super::common::in_json(&page);
+    Ok(Outcome { json: json!({ "seconds": seconds, "report": report, "targets": targets, "chapters": figures }), text })
 }
 
 /// A target of the demo.

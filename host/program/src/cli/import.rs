@@ -170,8 +170,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         frames as f64 / seconds
     );
     let json = json!({
-        "session": in_json(&args.output), "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found, "notes": notes,
-        "frames": frames, "lost": lost, "warnings": warnings, "seconds": seconds,
+        "session": in_json(&args.output), "copied": args.copy, "bit_depth": sensor.bit_depth, "recordings": found,
+        "notes": notes, "frames": frames, "lost": lost, "warnings": warnings, "seconds": seconds,
     });
     args.strict.judge(lossy, Outcome { json, text })
 }

@@ -142,8 +142,9 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
         passes => format!(" of {passes} passes, prediction of frames {}", r.predictor_bytes),
     };
     let mut text = format!(
-        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}{model}\n  memory: {} bytes: {} fast, \
-         {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: {:.4}\n",
+        "{}\n  {} bytes: filters {} ({filters}, {:.1} % of dense ones), enhancement {}{model}\n  memory: {} bytes: {} \
+         fast, {} bulk, {} frame, {} reconstruction, at most {} variables and stack\n  energy of the filters kept: \
+         {:.4}\n",
         path.display(),
         r.file_bytes,
         r.filter_bytes,
@@ -167,8 +168,8 @@ fn text(path: &Path, r: &QuantizeReport) -> String {
     if let Some(WatchFigures { bytes, shifts_px, gains, .. }) = &r.watch {
         let _ = writeln!(
             text,
-            "  watch on the optics: {bytes} bytes; noise of a frame {:.3} px and {:.2} %, another specimen {:.3} px and \
-             {:.2} %",
+            "  watch on the optics: {bytes} bytes; noise of a frame {:.3} px and {:.2} %, another specimen {:.3} px \
+             and {:.2} %",
             shifts_px.noise,
             100.0 * gains.noise,
             shifts_px.specimens,

@@ -94,8 +94,8 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
         text += &format!("{} shards are still missing: run the other --shard values\n", progress.missing);
     }
     let json = serde_json::json!({
-        "dataset": in_json(&args.output), "count": plan.count, "object": plan.object, "frame": plan.frame, "peak_e": plan.peak_e,
-        "shards": plan.shards(), "shards_made": progress.made, "shards_kept": progress.kept,
+        "dataset": in_json(&args.output), "count": plan.count, "object": plan.object, "frame": plan.frame,
+        "peak_e": plan.peak_e, "shards": plan.shards(), "shards_made": progress.made, "shards_kept": progress.kept,
         "shards_missing": progress.missing, "seconds": seconds,
     });
     Ok(Outcome { json, text })

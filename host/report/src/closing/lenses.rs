@@ -56,10 +56,10 @@ pub fn maps(
     let after = if asked == Asked::Close { Some(plate("After", &account.after)?) } else { None };
     let body = html! { div.halves { (before) @if let Some(a) = after { (a) } } (residuals().bar("σ")) };
     let text = format!(
-        "Sections of the sensor around each lens (row, column; its number where the lenses form no grid), one pitch of {:.0} \
-         pixels wide. The residuals of the {} above are averaged and multiplied by the square root of their number, then smoothed over 5 × 5 pixels as \
-         above. Errors of one lens show in one tile, errors common to the optics in all. rms: of the average, pixel by \
-         pixel; 1 for noise.",
+        "Sections of the sensor around each lens (row, column; its number where the lenses form no grid), one pitch of \
+         {:.0} pixels wide. The residuals of the {} above are averaged and multiplied by the square root of their \
+         number, then smoothed over 5 × 5 pixels as above. Errors of one lens show in one tile, errors common to the \
+         optics in all. rms: of the average, pixel by pixel; 1 for noise.",
         array.pitch_px,
         if frames == 1 { "frame".to_string() } else { format!("{frames} frames") }
     );

@@ -365,8 +365,8 @@ fn unequal_pixels(request: &ImportRequest<'_>, frames: &FrameReader) -> Option<S
     let path = frames.path().display();
     ((y - x).abs() > 1e-3 * y.max(x)).then(|| {
         format!(
-            "{path}: pixels are {y} um high and {x} um wide by the file, but a session has square ones: {y} um is taken \
-             for both (--pixel-um)"
+            "{path}: pixels are {y} um high and {x} um wide by the file, but a session has square ones: {y} um is \
+             taken for both (--pixel-um)"
         )
     })
 }
@@ -392,7 +392,8 @@ fn on_the_grid(recording: &Opened, manifest: &Manifest, infos: &[FrameInfo]) -> 
     for (i, info) in infos.iter().enumerate() {
         let named = parts.get(i).filter(|_| in_names).map(|part| &part.path);
         let of_bead = std::slice::from_ref(info);
-        crate::table::beads_inside(named.unwrap_or(&recording.positions), &manifest.object, of_bead).map_err(|e| match e {
+        let of = named.unwrap_or(&recording.positions);
+        crate::table::beads_inside(of, &manifest.object, of_bead).map_err(|e| match e {
             SessionError::Value { path, field, expected, found, .. } => {
                 let field = if in_names { field.replace("column", "position") } else { field };
                 let remedy = "check the unit of the positions (--unit for those in names), and that the object has the \

@@ -1,6 +1,5 @@
 //! The table of timestamps of a recorder, as it is read.
 
-use super::times::GAP;
 use crate::error::SessionError;
 use crate::table::{Grid, Row, time_column};
 use std::path::{Path, PathBuf};
@@ -60,6 +59,9 @@ impl Stamps {
     }
 }
 
+/// A time between frames of more than this many median times is a gap.
+pub(super) const GAP: f64 = 1.5;
+
 /// Names of tables of timestamps: those of Miniscope V4 and V3.
 const TABLES: [&str; 3] = ["timeStamps.csv", "timestamps.csv", "timestamp.dat"];
 
@@ -75,7 +77,7 @@ pub(super) fn table_of(folder: &Path) -> Option<PathBuf> {
 }
 
 /// Reads a table of timestamps. Version 3 of the recorder lists all cameras in one table: the camera of `frames` frames
-/// is taken from it. `set_s` is the time between frames that was set, s, if it is known: it tells the unit where the
+/// is taken from it. `set_s` is the time between frames that was set, s, if it is known: it decides the unit where the
 /// table states none.
 ///
 /// # Errors

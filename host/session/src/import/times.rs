@@ -1,7 +1,7 @@
 //! When the frames of a recording were taken: its table of timestamps, and what the table says of lost frames.
 
 use super::miniscope;
-use super::stamps::Stamps;
+use super::stamps::{GAP, Stamps};
 use crate::stack::Part;
 use serde::{Deserialize, Serialize};
 
@@ -60,9 +60,6 @@ pub struct Gap {
     /// Number of frames that are missing, by the mean interval.
     pub missing: usize,
 }
-
-/// A time between frames of more than this many median times is a gap.
-pub(super) const GAP: f64 = 1.5;
 
 impl Times {
     /// Assigns timestamps to the whole frames of a recording. `per_file` is the number of frames that the recorder puts

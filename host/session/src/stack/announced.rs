@@ -114,16 +114,13 @@ mod tests {
             (r#"{"shape": [6, 32, 40, 1]}"#, Some(6)),
             (r#"{"shape": [32, 40]}"#, Some(1)),
             (r#"{"shape": [6, 7]}"#, None),
-            (r#"{"shape": [18446744073709551615, 4, 32, 40]}"#, None),
             ("<OME><Image ID='a'><Pixels SizeC='1' SizeZ='1' SizeT='500'/></Image></OME>", Some(500)),
             (r#"<ome:OME><ome:Image><ome:Pixels SizeT = "0000000012"/></ome:Image></ome:OME>"#, Some(12)),
         ] {
-            if text.contains("18446744073709551615") {
-                assert!(of(text).is_err(), "{text}");
-            } else {
-                assert_eq!(of(text), Ok(expected), "{text}");
-            }
+            assert_eq!(of(text), Ok(expected), "{text}");
         }
+        // More frames than any file holds are several axes like others.
+        assert!(of(r#"{"shape": [18446744073709551615, 4, 32, 40]}"#).is_err());
     }
 
     #[test]

@@ -18,7 +18,7 @@ pub(super) fn in_order(folder: &Path, mut files: Vec<PathBuf>) -> Result<Vec<Pat
     if files.len() < 2 || files.iter().all(|p| has_position(&stem(p))) || are_continued(&files) {
         return Ok(files);
     }
-    // `a1` is another name than `a`, which has no number.
+    // `a1` is another name than `a`, which does not end in one.
     let words = |file: &Path| -> (Vec<String>, bool) {
         let stem = stem(file);
         (natural(&stem).into_iter().map(|(text, _)| text).collect(), stem.ends_with(|c: char| c.is_ascii_digit()))
@@ -53,7 +53,7 @@ pub(super) fn in_order(folder: &Path, mut files: Vec<PathBuf>) -> Result<Vec<Pat
         return wrong(format!("{} and {} with the same number", name(&files[at]), name(&files[at + 1])));
     }
     let last = name(&files[files.len() - 1]);
-    wrong(format!("{} to {last}, in which no number differs in each file", name(&files[0])))
+    wrong(format!("{} to {last}, whose numbers do not differ from file to file", name(&files[0])))
 }
 
 /// Whether the files are one OME-TIFF in several, as Micro-Manager writes them above 4 GB: `a.ome.tif`, `a_1.ome.tif`,

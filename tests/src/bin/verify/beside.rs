@@ -19,8 +19,8 @@ pub struct Beside {
 }
 
 impl Beside {
-    /// Starts the steps beside round `number` with `program`, this program's file. Its path must be found before anything
-    /// is built: the build of all tests puts another file in its place.
+    /// Starts the steps beside round `number` with `program`, this program's file. Its path must be found before
+    /// anything is built: the build of all tests puts another file in its place.
     pub fn start(program: &Path, number: usize, steps: &[Step]) -> Self {
         let log = target_dir().join(format!("verify-beside-{number}.log"));
         let names: Vec<_> = steps.iter().map(|s| s.name).collect();

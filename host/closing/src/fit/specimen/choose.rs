@@ -45,8 +45,8 @@ pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
 fn not_estimated([rows, cols]: [usize; 2], lenses: usize, side: usize) -> String {
     format!(
         "the specimens are unknown, and were not estimated, so that nothing here tests the optics: objects of {rows} x \
-         {cols} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory than `close` uses. \
-         Objects of at most {MOST_UNKNOWNS} pixels are estimated, and {:.0} million values of the optics (object \
+         {cols} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory than `close` \
+         uses. Objects of at most {MOST_UNKNOWNS} pixels are estimated, and {:.0} million values of the optics (object \
          pixels times lenses times pixels of a window): a coarser grid of object pixels or `calibrate --window` with \
          smaller windows makes it possible",
         MOST_VALUES as f64 / 1e6

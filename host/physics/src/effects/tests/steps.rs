@@ -167,8 +167,8 @@ Neighbours of a pixel or of a lens are those above, below, left and right; a len
 is the charge at which frames saturate, above the black level, e-. Light that a `halo` scatters off the sensor is lost,
 and none comes from beyond it, for a `ghost` either. Flats, which are lit from there as well, show neither. The mean of
 `veiling_glare` is that over the sensor. In `background`, t is the exposure in ms, P the light level of the frame
-(`illumination` of the session), and s runs from -1 to 1 over the sensor; flats have it too. A depth changes the shape of
-the PSFs, and moves no focus: `z_um` of a `defocus` adds to the recorded depth, with the sign of `z_um` in the table of
+(`illumination` of the session), and s runs from -1 to 1 over the sensor; flats have it too. A depth changes the shape
+of the PSFs, and moves no focus: `z_um` of a `defocus` adds to the recorded depth, with the sign of `z_um` in the table of
 the beads. `spectral_shift` scales the PSF at the same wavefront in waves; a real wavelength changes the wavefront in
 waves too. The smooth part of flats belongs to their lamp, so flats show neither `vignetting` nor
 `chief_ray_response`. Where an instrument has an effect already, such as the bend of its sensor (`nonlinearity`), the
