@@ -33,13 +33,59 @@ pub fn weights(x: f64) -> (isize, [f64; TAPS]) {
 }
 
 /// [`weights`] from a table, to 1e-6.
-pub fn tabulated(x: f64) -> (isize, [f32; TAPS]) {
+fn tabulated(x: f64) -> (isize, [f32; TAPS]) {
     let floor = x.floor();
     let fine = (x - floor) * STEPS as f64;
     let step = (fine as usize).min(STEPS - 1);
     let part = (fine - step as f64) as f32;
-    let (a, b) = (&TABLE[step], &TABLE[step + 1]);
-    (floor as isize - BEFORE as isize, std::array::from_fn(|t| a[t] + part * (b[t] - a[t])))
+    let [weights, slopes] = &TABLE[step];
+    (floor as isize - BEFORE as isize, std::array::from_fn(|t| weights[t] + part * slopes[t]))
+}
+
+/// Number of zeros that a line of pixels for [`Lines::value`] has before and after its pixels.
+pub const BESIDE: usize = TAPS;
+
+/// Interpolates lines of pixels one value after the other. Where it is called in code for a processor's vectors, it
+/// uses them.
+///
+/// ```
+/// use ommatidia_physics::interpolation::{BESIDE, Lines};
+///
+/// let mut line = vec![0.0f32; 40 + 2 * BESIDE];
+/// (0..40).for_each(|i| line[BESIDE + i] = i as f32);
+/// assert!((Lines::get().value(&line, 19.3) - 19.3).abs() < 1e-3);
+/// assert_eq!(Lines::get().value(&line, -20.0), 0.0);
+/// ```
+#[derive(Clone, Copy)]
+pub struct Lines(&'static [[[f32; TAPS]; 2]; STEPS]);
+
+impl Lines {
+    /// With the table of the weights, which is made once.
+    pub fn get() -> Self {
+        Self(&TABLE)
+    }
+
+    /// The value at `x`, px from the first of the pixels, of a line of them between [`BESIDE`] zeros; to 1e-6 of the
+    /// weights, 0 where `x` is no number. It panics where the line has no such zeros.
+    #[inline(always)]
+    pub fn value(self, line: &[f32], x: f64) -> f32 {
+        const TO_WHOLE: f64 = 1.5 * (1u64 << 52) as f64;
+        let last = ((line.len() - TAPS) * STEPS) as f64;
+        let fine = ((x + (BESIDE - BEFORE) as f64) * STEPS as f64).max(0.0).min(last);
+        // Its lowest bits are the nearest whole number: no instruction rounds on every processor.
+        let whole = fine + TO_WHOLE;
+        let part = (fine - (whole - TO_WHOLE)) as f32;
+        let at = whole.to_bits() as u32 as usize;
+        let [weights, slopes] = &self.0[at % STEPS];
+        let pixels = &line[at / STEPS..][..TAPS];
+        // Sums side by side fill a vector.
+        let (mut sums, mut changes) = ([0.0f32; LANES], [0.0f32; LANES]);
+        for i in 0..TAPS {
+            sums[i % LANES] += weights[i] * pixels[i];
+            changes[i % LANES] += slopes[i] * pixels[i];
+        }
+        (0..LANES).map(|i| sums[i] + part * changes[i]).sum()
+    }
 }
 
 /// The image with its content displaced by `d` = [row, col] pixels, zero outside: along the columns, then along the
@@ -68,11 +114,22 @@ pub fn shifted(image: &Array2<f32>, d: [f64; 2]) -> Array2<f32> {
     along(&along(image, Axis(0), rows, d[0]), Axis(1), cols, d[1])
 }
 
-/// Number of tabulated fractions of a pixel; weights between them are interpolated.
+/// Number of tabulated fractions of a pixel.
 const STEPS: usize = 1024;
+/// Sums that run side by side.
+const LANES: usize = 8;
 
-static TABLE: LazyLock<Vec<[f32; TAPS]>> =
-    LazyLock::new(|| (0..=STEPS).map(|i| at(i as f64 / STEPS as f64).map(|w| w as f32)).collect());
+/// The weights at each of them, and how they change to the next one.
+static TABLE: LazyLock<Box<[[[f32; TAPS]; 2]; STEPS]>> = LazyLock::new(|| {
+    let weights = |step: f64| at(step / STEPS as f64);
+    let row = |i: usize| {
+        let [before, here, after] = [-1.0, 0.0, 1.0].map(|d| weights(i as f64 + d));
+        [here.map(|w| w as f32), std::array::from_fn(|t| (0.5 * (after[t] - before[t])) as f32)]
+    };
+    let mut table = Box::new([[[0.0; TAPS]; 2]; STEPS]);
+    table.iter_mut().enumerate().for_each(|(i, to)| *to = row(i));
+    table
+});
 
 /// Weights of the pixels -7 to 8 for the value at `fraction`, 0 to 1 px.
 fn at(fraction: f64) -> [f64; TAPS] {
@@ -145,6 +202,23 @@ mod tests {
         for x in [-7.3, -0.0004, 0.1234, 0.5, 0.99999, 3.7] {
             let ((a, exact), (b, table)) = (weights(x), tabulated(x));
             assert!(a == b && exact.iter().zip(&table).all(|(e, t)| (e - f64::from(*t)).abs() < 2e-6), "{x}");
+        }
+    }
+
+    /// In the middle of a line, over both of its ends, and beside it.
+    #[test]
+    fn the_value_at_a_place_is_the_sum_of_the_weights() {
+        let pixels: Vec<f32> = (0..40).map(|i| ((i * i) % 17) as f32).collect();
+        let line = [&[0.0; BESIDE][..], &pixels, &[0.0; BESIDE]].concat();
+        let value = |x| Lines::get().value(&line, x);
+        for x in [-30.0, -9.2, -7.5, -0.4, 0.0, 3.25, 19.0, 20.7, 38.99, 39.0, 46.5, 80.0] {
+            let (first, w) = weights(x);
+            let pixel = |j: isize| usize::try_from(j).ok().and_then(|j| pixels.get(j)).map_or(0.0, |v| f64::from(*v));
+            let want: f64 = w.iter().zip(first..).map(|(w, j)| w * pixel(j)).sum();
+            assert!((f64::from(value(x)) - want).abs() < 1e-4, "{x}: {} for {want}", value(x));
+        }
+        for x in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300] {
+            assert_eq!(value(x), 0.0, "{x}");
         }
     }
 }

@@ -9,9 +9,9 @@ use ommatidia_physics::effects::RayShift;
 use std::borrow::Cow;
 
 /// Distance between the rays that are followed, px.
-const SPACING_PX: usize = 4;
+pub(super) const SPACING_PX: usize = 4;
 /// Followed rays that an interpolated one depends on, along each axis.
-const TAPS: usize = 4;
+pub(super) const TAPS: usize = 4;
 
 /// Displacement (row, col, along the axis) and growth, the parts of a [`RayShift`].
 type Parts = [f64; 4];
@@ -78,7 +78,7 @@ pub(super) fn shift_map(shape: (usize, usize), at: impl Fn([f64; 2]) -> RayShift
         return Shifts::Even(shift(first));
     }
     let differences = followed.mapv(|v| zip(v, first, |v, f| v - f));
-    let weights: [[f64; TAPS]; SPACING_PX] = std::array::from_fn(|i| lagrange(i as f64 / SPACING_PX as f64));
+    let weights = weights();
     let along_cols = interpolated(&differences, Axis(1), cols, &weights);
     Shifts::Map(interpolated(&along_cols, Axis(0), rows, &weights).mapv(|v| shift(zip(v, first, |v, f| v + f))))
 }
@@ -95,6 +95,11 @@ fn interpolated(nodes: &Array2<Parts>, axis: Axis, n: usize, weights: &[[f64; TA
         }
     }
     out
+}
+
+/// For each pixel of an interval between two nodes, the weights of the node before it and the three that follow.
+pub(super) fn weights() -> [[f64; TAPS]; SPACING_PX] {
+    std::array::from_fn(|i| lagrange(i as f64 / SPACING_PX as f64))
 }
 
 /// Weights of the values at -1, 0, 1 and 2 for that at `x`.

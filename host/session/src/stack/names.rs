@@ -53,7 +53,7 @@ pub(super) fn in_order(folder: &Path, mut files: Vec<PathBuf>) -> Result<Vec<Pat
         return wrong(format!("{} and {} with the same number", name(&files[at]), name(&files[at + 1])));
     }
     let last = name(&files[files.len() - 1]);
-    wrong(format!("{} to {last}, whose numbers do not differ from file to file", name(&files[0])))
+    wrong(format!("{} to {last}, in which no number differs in every file", name(&files[0])))
 }
 
 /// Whether the files are one OME-TIFF in several, as Micro-Manager writes them above 4 GB: `a.ome.tif`, `a_1.ome.tif`,
@@ -177,7 +177,10 @@ mod tests {
             (vec!["i_0.tif", "i_1.tif", "i_2.tif", "AVG_i.tif"], &["found AVG_i.tif beside 3 files like i_0.tif;"][..]),
             (vec!["i_0.tif", "i_1.tif", "i_2.tif", "AVG_i_0.tif"], &["AVG_i_0.tif beside 3"]),
             (vec!["a_0.tif", "a_1.tif", "b_0.tif", "b_1.tif"], &["found a_0.tif and b_0.tif, each with another name"]),
-            (vec!["c0_t0.tif", "c1_t0.tif", "c0_t1.tif", "c1_t1.tif"], &["c0_t0.tif to c1_t1.tif, in which no number"]),
+            (
+                vec!["c0_t0.tif", "c1_t0.tif", "c0_t1.tif", "c1_t1.tif"],
+                &["c0_t0.tif to c1_t1.tif, in which no number differs in every file"],
+            ),
             // The channels alternate, and their order is not that of the last number.
             (vec!["c0_t0.tif", "c1_t1.tif", "c0_t2.tif", "c1_t3.tif"], &["in which no number differs"]),
             (vec!["f1.tif", "f01.tif", "f2.tif"], &["found f01.tif and f1.tif with the same number"]),
