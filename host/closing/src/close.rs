@@ -5,11 +5,13 @@ use super::account::{
     within_calibration,
 };
 use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
-use super::data::{Fault, Observations, Shown, leave_lit_darks_out, scaled_frames, unit_of_flats, unit_of_scenes};
+use super::data::{
+    Fault, Observations, Shown, leave_lit_darks_out, scaled_frames, unit_note, unit_of_flats, unit_of_scenes,
+};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
-    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, orientation, pedestal,
-    record, refit, replicas,
+    Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, flicker, orientation,
+    pedestal, record, refit, replicas,
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
@@ -32,7 +34,7 @@ pub fn close(
     let of_darks = screened(instrument, seen)?;
     let mut closed = attempts(instrument, seen, options, &mut progress)?;
     let closing = &mut closed.account.closing;
-    closing.notes.splice(0..0, of_darks);
+    closing.notes.splice(0..0, of_darks.into_iter().chain(unit_note(&closing.faults)));
     let (verdict, note) = quiet(closing.verdict, closing.after, &closing.effects);
     (closing.verdict, closing.catalogue_incomplete) = (verdict, verdict != Verdict::Adequate);
     closing.notes.extend(note);
@@ -121,7 +123,8 @@ pub fn residual(
     exposures::correct_exposures(seen, &doubted);
     faults.extend(doubted);
     let mut account = judged(instrument, seen, faults, options)?;
-    account.closing.notes.splice(0..0, of_darks);
+    let closing = &mut account.closing;
+    closing.notes.splice(0..0, of_darks.into_iter().chain(unit_note(&closing.faults)));
     Ok(account)
 }
 
@@ -213,9 +216,10 @@ fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Ve
     }
     faults.extend(lit_everywhere);
     let units = exposures::units(seen, &frames);
+    let own_light = if units.is_empty() { flickering(instrument, seen, &frames)? } else { units };
     // All of them have their own light then.
-    let doubted = if units.is_empty() { exposures::exposures(seen, &frames) } else { Vec::new() };
-    faults.extend(units);
+    let doubted = if own_light.is_empty() { exposures::exposures(seen, &frames) } else { Vec::new() };
+    faults.extend(own_light);
     Ok([faults, doubted])
 }
 
@@ -230,6 +234,22 @@ fn pedestals(
         pedestal::even_light(&model, &model.state(instrument)?, frames)?
     };
     Ok(pedestal::pedestals(seen, frames, &even))
+}
+
+/// Finds scenes that differ in brightness from one to the next, and gives their objects the light of each.
+fn flickering(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    frames: &[record::Seen],
+) -> Result<Vec<Fault>, CloseError> {
+    if !flicker::may_flicker(seen, frames) {
+        return Ok(Vec::new());
+    }
+    let light = {
+        let model = Model::new(instrument, seen)?;
+        flicker::light(&model, &refit(&model, model.state(instrument)?)?)
+    };
+    Ok(flicker::flicker(seen, frames, &light))
 }
 
 /// Exposures that contradict their frames under a state.

@@ -1,11 +1,10 @@
 //! The account of a closed loop: effects with errors, detection limits, ambiguities, figures before and after.
 //!
 //! [`result`] defines it, `describe` writes the effects, `names` decides which are causes, `pictures` adds residual
-//! maps, `registration` says where the truths lie, `rest` where what is left lies, `brightness` whether scenes flicker,
-//! `adopt` records a new calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores it all.
+//! maps, `registration` says where the truths lie, `rest` where what is left lies, `adopt` records a new
+//! calibration, [`retrain`] what a fine-tuned network gains, [`mod@file`] stores it all.
 
 pub(crate) mod adopt;
-mod brightness;
 pub(crate) mod describe;
 pub mod file;
 mod names;
@@ -18,7 +17,6 @@ pub mod retrain;
 mod verdict;
 
 pub use adopt::{Recalibrated, adopt};
-pub(crate) use brightness::brightness_note;
 pub(crate) use describe::{Accepted, Findings, by_depth, effects, fault, rejected, values};
 pub use file::{KIND, VERSION};
 pub(crate) use names::{Judged, Names, ROW_NOISE, end_notes};

@@ -3,8 +3,8 @@
 use super::basis::Basis;
 use super::settle::Settled;
 use crate::account::{
-    Effect, Names, TruthRegistration, Verdict, brightness_note, calibration_note, end_notes, pupil_note,
-    registration_notes, rest_notes, small_note, unstated_notes,
+    Effect, Names, TruthRegistration, Verdict, calibration_note, end_notes, pupil_note, registration_notes, rest_notes,
+    small_note, unstated_notes,
 };
 use crate::data::{Observations, Shown, bright_darks};
 use crate::evidence::{Curve, Figures, JudgedOn, excess, judged, structured};
@@ -42,7 +42,6 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     notes.extend(effects.iter().find_map(truth_note));
     notes.extend(settled.views_chi2.filter(|_| verdict != Verdict::Adequate).map(views_note));
     notes.extend(effects.iter().find_map(moment_note));
-    notes.extend(brightness_note(model, &basis.before, verdict));
     notes.extend(end_notes(effects));
     notes.extend(noise_note(basis, now, said));
     let misjudged = now.state.terms.iter().find(|t| t.id() == PUPIL_DEFOCUS).map_or(&[][..], |t| &t.params);

@@ -107,6 +107,21 @@ impl FaultKind {
     }
 }
 
+/// What scenes with light of their own may mean, and what to do. None: there is none among some faults.
+pub(crate) fn unit_note(faults: &[Fault]) -> Option<String> {
+    let factors =
+        faults.iter().filter_map(|f| if let FaultKind::Unit { factor } = f.kind { Some(factor) } else { None });
+    let [least, most] = factors.fold([f64::INFINITY, 0.0], |[least, most], f| [f64::min(least, f), f64::max(most, f)]);
+    (most > 0.0).then(|| {
+        format!(
+            "each scene has light of its own, {least:.3} to {most:.3} times that of its object relative to the other \
+             scenes, and the objects were scaled by it. The lamp flickers, or the light was not written down (give \
+             each frame its `exposure_ms` or `illumination` in the table of the stack), or the objects are recorded in \
+             units of their own (each scaled to the same maximum, for example) or not in proportion to light (gamma)"
+        )
+    })
+}
+
 impl Fault {
     /// The fault in one sentence, without a full stop.
     pub fn words(&self) -> String {
@@ -123,9 +138,7 @@ impl Fault {
                 format!("the object of scene frame {} is recorded {}", self.frame, kind.turn_words())
             }
             FaultKind::Unit { factor } => format!(
-                "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes: the \
-                 objects are recorded in units of their own (each scaled to the same maximum, for example), or not \
-                 in proportion to light (gamma), or the lamp flickers",
+                "scene frame {} has {factor:.4} times the light of its object, relative to the other scenes",
                 self.frame
             ),
             FaultKind::Pedestal { level } => format!(

@@ -10,6 +10,7 @@ mod scaled;
 mod unit;
 
 pub(crate) use darks::{bright_darks, leave_lit_darks_out};
+pub(crate) use fault::unit_note;
 pub use fault::{Fault, FaultKind};
 pub(crate) use observe::bead_is_held_out;
 pub use observe::{Budget, Frame, Observations, Shown};

@@ -15,15 +15,15 @@ use rayon::prelude::*;
 /// than their scatter.
 const LIGHT: f64 = 0.04;
 /// Objects have units of their own if the light of the frames relative to them scatters by more than this share
-/// (median), and neither a drift nor the exposures nor the places of the light leave less than [`UNEXPLAINED`] of it.
+/// (median), and what may explain that ([`is_explained`]) leaves no less than [`UNEXPLAINED`] of it.
 const SCATTER: f64 = 0.1;
 const UNEXPLAINED: f64 = 0.3;
 /// Number of scenes that this takes.
-const SCENES: usize = 6;
+pub(super) const SCENES: usize = 6;
 /// Number of scenes from which a falloff of the light has a centre of its own.
 const CENTRED: usize = 8;
 /// Correlation with the objects that it takes.
-const ALIKE: f64 = 0.8;
+pub(super) const ALIKE: f64 = 0.8;
 /// A wrong exposure changes the light of a frame and not its form: the frame leaves at most so many times the variance
 /// that the scenes usually leave, and this much of its own. What misses a source at its edge leaves more.
 const AS_USUAL: f64 = 4.0;
@@ -55,39 +55,64 @@ pub fn units(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
     }
     let all: Vec<f64> = slopes.iter().map(|s| s[0].ln()).collect();
     let usual = median(all.clone()).unwrap_or(0.0);
-    let scatter = |values: &[f64]| median(values.iter().map(|v| v.abs()).collect()).unwrap_or(0.0);
     let logs: Vec<f64> = all.iter().map(|v| v - usual).collect();
-    let left = unexplained(seen, frames, &logs);
-    let scatters = scatter(&logs);
-    let explained = |left: &[f64]| scatter(left) < UNEXPLAINED * scatters;
-    // A falloff is linear in the light itself.
-    let factors: Vec<f64> = logs.iter().map(|v| v.exp() - 1.0).collect();
-    if scatters < SCATTER
-        || explained(&left)
-        || explained(&beside_alternation(seen, frames, &logs))
-        || explained(&beside_places(seen, frames, &factors))
-    {
+    if scatter(&logs) < SCATTER || is_explained(seen, frames, &logs) {
         return Vec::new();
     }
+    let factors: Vec<f64> = logs.iter().map(|log| log.exp()).collect();
+    let z = |i: usize| logs[i].abs() / (1.0 - slopes[i][1].powi(2)).max(1e-6).sqrt();
+    scaled(seen, frames, &factors, z)
+}
+
+/// Gives each scene its own unit of light: `factors` of its object, as certain as `z` says, in standard deviations.
+pub(super) fn scaled(
+    seen: &mut Observations,
+    frames: &[Seen],
+    factors: &[f64],
+    z: impl Fn(usize) -> f64,
+) -> Vec<Fault> {
     let mut faults = Vec::new();
-    for ((s, [_, r]), log) in frames.iter().zip(&slopes).zip(&logs) {
+    for (i, (s, factor)) in frames.iter().zip(factors).enumerate() {
         let Shown::Object(truth) = seen.frames[s.frame].shown else { continue };
-        let factor = log.exp();
-        seen.truths.push(seen.truths[truth].mapv(|v| v * factor as f32));
+        seen.truths.push(seen.truths[truth].mapv(|v| v * *factor as f32));
         seen.frames[s.frame].shown = Shown::Object(seen.truths.len() - 1);
+        let r = correlation(&blur_within(&s.measured, SMOOTH_PX), &blur_within(&s.own, SMOOTH_PX));
         faults.push(Fault {
             frame: seen.frames[s.frame].info.frame,
-            kind: FaultKind::Unit { factor },
-            z: log.abs() / (1.0 - r * r).max(1e-6).sqrt(),
-            correlation_before: *r,
-            correlation_after: *r,
+            kind: FaultKind::Unit { factor: *factor },
+            z: z(i),
+            correlation_before: r,
+            correlation_after: r,
         });
     }
     faults
 }
 
+/// Median of the sizes of some values.
+pub(super) fn scatter(values: &[f64]) -> f64 {
+    median(values.iter().map(|v| v.abs()).collect()).unwrap_or(0.0)
+}
+
+/// Whether a drift, the exposures, a lamp that alternates or the places of the light leave little of the differences
+/// between the light of scenes, whose logarithms are given.
+pub(super) fn is_explained(seen: &Observations, frames: &[Seen], logs: &[f64]) -> bool {
+    // A falloff is linear in the light itself.
+    let factors: Vec<f64> = logs.iter().map(|v| v.exp() - 1.0).collect();
+    let all = scatter(logs);
+    let left = [
+        unexplained(seen, frames, logs),
+        beside_alternation(seen, frames, logs),
+        beside_places(seen, frames, &factors),
+        beside_levels(seen, frames, &factors),
+    ];
+    // Values that are fitted leave less of what they do not explain, too.
+    let n = frames.len() as f64;
+    let left = left.map(|(left, fitted)| scatter(&left) * (n / (n - fitted as f64).max(1.0)).sqrt());
+    left.iter().any(|left| *left < UNEXPLAINED * all)
+}
+
 /// What a drift (a parabola over the frames) and an error of the exposures do not explain of some values of the frames.
-fn unexplained(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64> {
+fn unexplained(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
     let of = |s: &Seen| {
         let info = &seen.frames[s.frame].info;
         let t = info.frame as f64 / frames.len() as f64;
@@ -98,7 +123,7 @@ fn unexplained(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64>
 }
 
 /// What a lamp that alternates from frame to frame does not explain of some values of the frames.
-fn beside_alternation(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64> {
+fn beside_alternation(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
     let odd = |s: &Seen| seen.frames[s.frame].info.frame % 2;
     let mean = |parity: usize| {
         let of = frames.iter().zip(values).filter(|(s, _)| odd(s) == parity).map(|(_, v)| *v);
@@ -106,13 +131,13 @@ fn beside_alternation(seen: &Observations, frames: &[Seen], values: &[f64]) -> V
         sum / f64::max(n, 1.0)
     };
     let means = [mean(0), mean(1)];
-    frames.iter().zip(values).map(|(s, v)| v - means[odd(s)]).collect()
+    (frames.iter().zip(values).map(|(s, v)| v - means[odd(s)]).collect(), means.len())
 }
 
 /// What the places of the light in the objects do not explain of some values of the frames. Where the light falls off
 /// over the field, objects at its rim seem darker than those in its middle. As in a regression of images, places count
 /// by the square of their light.
-fn beside_places(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f64> {
+fn beside_places(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
     let of = |s: &Seen| -> [f64; 4] {
         let Shown::Object(truth) = seen.frames[s.frame].shown else { return [1.0, 0.0, 0.0, 0.0] };
         let object = &seen.truths[truth];
@@ -134,11 +159,27 @@ fn beside_places(seen: &Observations, frames: &[Seen], values: &[f64]) -> Vec<f6
     left_by(&Array2::from_shape_fn((rows.len(), terms), |(i, j)| rows[i][j]), values)
 }
 
-/// What a linear regression on the columns of `x` [values, columns] leaves of some values.
-fn left_by(x: &Array2<f64>, values: &[f64]) -> Vec<f64> {
+/// What the light of the objects does not explain of some values of the frames: a sensor that is not linear makes
+/// bright frames too bright or too dark.
+fn beside_levels(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
+    let of = |s: &Seen| {
+        let Shown::Object(truth) = seen.frames[s.frame].shown else { return [0.0; 2] };
+        let [sum, squares] = [1, 2].map(|p| seen.truths[truth].iter().map(|v| f64::from(*v).powi(p)).sum::<f64>());
+        [sum, squares / sum.max(1e-30)].map(|v| v * seen.frames[s.frame].info.exposure_ms)
+    };
+    let levels: Vec<[f64; 2]> = frames.iter().map(of).collect();
+    let most = [0, 1].map(|i| levels.iter().map(|l| l[i]).fold(1e-30, f64::max));
+    // The light of a whole frame, and that of the pixels that hold most of it.
+    let x = Array2::from_shape_fn((levels.len(), 3), |(i, j)| j.checked_sub(1).map_or(1.0, |j| levels[i][j] / most[j]));
+    left_by(&x, values)
+}
+
+/// What a linear regression on the columns of `x` [values, columns] leaves of some values, and the number of values
+/// that it fits.
+fn left_by(x: &Array2<f64>, values: &[f64]) -> (Vec<f64>, usize) {
     let y = Array1::from_vec(values.to_vec());
     let fit = x.dot(&pseudo_inverse(&x.t().dot(x)).dot(&x.t().dot(&y)));
-    (y - fit).to_vec()
+    ((y - fit).to_vec(), x.ncols())
 }
 
 /// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks

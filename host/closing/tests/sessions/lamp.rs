@@ -1,7 +1,8 @@
-//! Sessions whose flats are uneven.
+//! Sessions whose lamp is uneven, or flickers.
 
 use super::{closed, measured, names, subject};
 use ommatidia_closing::study::sessions::Holds;
+use ommatidia_closing::{Closing, FaultKind, Verdict};
 use ommatidia_physics::effects::EffectSetting;
 use ommatidia_session::{Session, rng, stack};
 use rand_distr::{Distribution, StandardNormal};
@@ -47,4 +48,38 @@ fn an_uneven_lamp_is_no_vignetting_and_hides_no_effect() {
     assert_eq!(names(&shaded), ["vignetting"]);
     let v = &shaded.effects[0].params[0];
     assert!((v.value - 0.05).abs() < 5.0 * v.sigma, "{v:?}");
+}
+
+/// Changes the light of each scene of a session by a factor of its own, 0.95 to 1.05.
+fn flicker(session: &Path) {
+    const FACTORS: [f32; 8] = [0.97, 1.03, 1.05, 0.96, 1.01, 1.04, 0.95, 0.98];
+    let black = subject().instrument.noise.black_level_dn as f32;
+    let file = session.join("scene.npy");
+    let mut frames = stack::read(&file).unwrap();
+    for (mut frame, factor) in frames.outer_iter_mut().zip(FACTORS) {
+        frame.mapv_inplace(|v| black + factor * (v - black));
+    }
+    stack::write(&file, frames.view()).unwrap();
+}
+
+#[test]
+fn a_lamp_that_flickers_is_no_effect_and_hides_none() {
+    let folder = tempfile::tempdir().unwrap();
+    let with = |name: &str, effects: &[EffectSetting], seed: u64| {
+        let dir = folder.path().join(name);
+        measured(Holds::Whole, effects, &dir, seed);
+        flicker(&dir);
+        closed(&Session::open(&dir).unwrap())
+    };
+    let units = |closing: &Closing| {
+        closing.faults.iter().filter(|f| matches!(f.kind, FaultKind::Unit { .. })).map(|f| f.frame).collect::<Vec<_>>()
+    };
+    let nothing = with("nothing", &[], 62);
+    assert_eq!((units(&nothing), names(&nothing)), ((0..8).collect(), vec!["metadata_fault"; 8]));
+    assert!(nothing.verdict == Verdict::Adequate && nothing.after.chi2_ndf < 1.1, "{:?}", nothing.after);
+    assert!(nothing.notes.iter().any(|n| n.contains("illumination")), "{:?}", nothing.notes);
+    let moved = with("moved", &[EffectSetting::new("array_shift", &[("row_px", 0.05)])], 63);
+    assert_eq!(units(&moved).len(), 8);
+    assert!(names(&moved).iter().all(|id| ["metadata_fault", "array_shift"].contains(id)), "{:?}", names(&moved));
+    assert!(names(&moved).contains(&"array_shift"));
 }
