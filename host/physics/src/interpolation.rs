@@ -119,7 +119,7 @@ const STEPS: usize = 1024;
 /// Sums that run side by side.
 const LANES: usize = 8;
 
-/// The weights at each of them, and how they change to the next one.
+/// The weights at each of them, and their slopes there, per step.
 static TABLE: LazyLock<Box<[[[f32; TAPS]; 2]; STEPS]>> = LazyLock::new(|| {
     let weights = |step: f64| at(step / STEPS as f64);
     let row = |i: usize| {

@@ -93,8 +93,8 @@ pub(super) fn scatter(values: &[f64]) -> f64 {
     median(values.iter().map(|v| v.abs()).collect()).unwrap_or(0.0)
 }
 
-/// Whether a drift, the exposures, a lamp that alternates or the places of the light leave little of the differences
-/// between the light of scenes, whose logarithms are given.
+/// Whether a drift with the exposures, a lamp that alternates, the places of the light or its level leave little of the
+/// differences between the light of scenes, whose logarithms are given.
 pub(super) fn is_explained(seen: &Observations, frames: &[Seen], logs: &[f64]) -> bool {
     // A falloff is linear in the light itself.
     let factors: Vec<f64> = logs.iter().map(|v| v.exp() - 1.0).collect();
