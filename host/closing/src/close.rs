@@ -4,9 +4,9 @@ use super::account::{
     Account, Closed, Closing, Verdict, calibration_note, fault, pictured, quiet, registration_notes, registrations,
     within_calibration,
 };
-use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
+use super::attempt::{Attempt, Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{
-    Fault, Observations, Shown, leave_lit_darks_out, scaled_frames, unit_note, unit_of_flats, unit_of_scenes,
+    Fault, FaultKind, Observations, Shown, leave_lit_darks_out, scaled_frames, unit_note, unit_of_flats, unit_of_scenes,
 };
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
@@ -15,6 +15,10 @@ use super::fit::{
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::effects::Stage;
+
+/// Scenes flicker beside other effects where their own light leaves less than this share of the excess.
+const FLICKERS: f64 = 0.5;
 
 /// Searches for the effects that an instrument lacks and adds them. Faults of the session's records are corrected in
 /// `seen`: those of objects before anything is fitted, those of exposures only where no effect explains them. Calls
@@ -74,8 +78,11 @@ fn attempts(
         Outcome::Ended(first) => first,
         Outcome::Misplaced(fault) => return without_truths(instrument, seen, options, (faults, fault)),
     };
-    if doubted.is_empty() || first.explains_all() {
+    if first.explains_all() {
         return Ok(first.closed);
+    }
+    if doubted.is_empty() {
+        return beside_flicker(instrument, seen, options, (faults, *first), progress);
     }
     let left = doubted_exposures(instrument, seen, &first.state)?;
     let wrong: Vec<Fault> = doubted.into_iter().filter(|d| left.iter().any(|l| l.frame == d.frame)).collect();
@@ -88,6 +95,40 @@ fn attempts(
         Outcome::Ended(second) => Ok(second.closed),
         Outcome::Misplaced(fault) => without_truths(instrument, seen, options, (faults, fault)),
     }
+}
+
+/// Another attempt where scenes flicker beside what the first one has named. It counts where it leaves less than
+/// [`FLICKERS`] of the excess of the first; the records stay as they are otherwise.
+fn beside_flicker(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    options: &CloseOptions<'_>,
+    (mut faults, first): (Vec<Fault>, Attempt),
+    mut progress: impl FnMut(&str),
+) -> Result<Closed, CloseError> {
+    let has_own_light = |f: &Fault| matches!(f.kind, FaultKind::Unit { .. });
+    let mut named = State { specimens: None, ..first.state };
+    named.terms.retain(|t| !t.id().starts_with("unknown"));
+    if faults.iter().any(has_own_light) || named.terms.iter().all(|t| t.effect.descriptor().stage == Stage::Record) {
+        return Ok(first.closed);
+    }
+    let Some(frames) = looked(instrument, seen, Some(&named))? else { return Ok(first.closed) };
+    let (shown, truths) = (seen.frames.iter().map(|f| f.shown.clone()).collect::<Vec<_>>(), seen.truths.len());
+    let flicker = flickering(instrument, seen, &frames, Some(named))?;
+    if flicker.is_empty() {
+        return Ok(first.closed);
+    }
+    faults.extend(flicker);
+    let given = Given { exclude: options.exclude, faults: &faults };
+    if let Outcome::Ended(second) = attempt(instrument, seen, options, given, &mut progress)? {
+        let excess = |closed: &Closed| (closed.account.closing.after.chi2_ndf - 1.0).max(0.0);
+        if excess(&second.closed) < FLICKERS * excess(&first.closed) {
+            return Ok(second.closed);
+        }
+    }
+    seen.frames.iter_mut().zip(shown).for_each(|(f, shown)| f.shown = shown);
+    seen.truths.truncate(truths);
+    Ok(first.closed)
 }
 
 /// Leaves misplaced truths out, where the views agree without them, and judges the session as it is: a search would
@@ -216,7 +257,7 @@ fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Ve
     }
     faults.extend(lit_everywhere);
     let units = exposures::units(seen, &frames);
-    let own_light = if units.is_empty() { flickering(instrument, seen, &frames)? } else { units };
+    let own_light = if units.is_empty() { flickering(instrument, seen, &frames, None)? } else { units };
     // All of them have their own light then.
     let doubted = if own_light.is_empty() { exposures::exposures(seen, &frames) } else { Vec::new() };
     faults.extend(own_light);
@@ -236,18 +277,21 @@ fn pedestals(
     Ok(pedestal::pedestals(seen, frames, &even))
 }
 
-/// Finds scenes that differ in brightness from one to the next, and gives their objects the light of each.
+/// Finds scenes that differ in brightness from one to the next under a state, or that of the instrument, and gives
+/// their objects the light of each.
 fn flickering(
     instrument: &Instrument,
     seen: &mut Observations,
     frames: &[record::Seen],
+    state: Option<State>,
 ) -> Result<Vec<Fault>, CloseError> {
     if !flicker::may_flicker(seen, frames) {
         return Ok(Vec::new());
     }
     let light = {
         let model = Model::new(instrument, seen)?;
-        flicker::light(&model, &refit(&model, model.state(instrument)?)?)
+        let state = state.map_or_else(|| model.state(instrument), Ok)?;
+        flicker::light(&model, &refit(&model, state)?)
     };
     Ok(flicker::flicker(seen, frames, &light))
 }

@@ -49,7 +49,7 @@ pub use model::Model;
 pub(crate) use model::PUPIL_DEFOCUS;
 pub(crate) use orientation::orientation;
 pub use projection::Specimens;
-pub use refit::{Fitted, Scenes, fitted_columns, own_columns, refit, refit_from};
+pub use refit::{Fitted, Scenes, fitted_columns, own_columns, refit, refit_from, refit_from_within, refit_within};
 pub use replicas::{Replicas, replicas};
 pub(crate) use rhythm::rhythm;
 pub use solve::pseudo_inverse;

@@ -28,6 +28,10 @@ const SETTLED: f64 = 0.02;
 const SLIGHT: f64 = 2.0;
 /// A fit goes on beyond [`STEPS`] as long as a step takes this share of the excess of chi-squared over the noise.
 const WORTH: f64 = 0.01;
+/// From this step on a fit that cannot reach the others is given up.
+const GIVEN_UP: usize = 2;
+/// What the steps of a fit still gain is less than this many times what the last one gained, or the next one promises.
+const AHEAD: f64 = 5.0;
 
 /// A fit finds the light of a stack from this many times too much or too little.
 const REACH: f64 = 4.0;
@@ -57,6 +61,8 @@ pub struct Fitted {
     pub even_held_out: Misfit,
     /// Directions of the values of its terms that a change of the specimens makes as well.
     pub gauges: Vec<Gauge>,
+    /// Whether the fit ended early, since it could not reach the deviance that it was given.
+    pub given_up: bool,
 }
 
 impl Fitted {
@@ -108,13 +114,21 @@ pub fn fitted_columns(model: &Model<'_>, state: &State) -> Vec<Column> {
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
-pub fn refit(model: &Model<'_>, mut state: State) -> Result<Fitted, ForwardError> {
+pub fn refit(model: &Model<'_>, state: State) -> Result<Fitted, ForwardError> {
+    refit_within(model, state, f64::INFINITY)
+}
+
+/// [`refit`], which gives up where its training deviance cannot come below `most`.
+///
+/// # Errors
+/// An object holds negative or non-finite light.
+pub fn refit_within(model: &Model<'_>, mut state: State, most: f64) -> Result<Fitted, ForwardError> {
     if state.specimens.is_none() {
         state.specimens = specimens(model, &state)?;
     }
     let scenes = model.scenes(&state)?.into();
     within_reach(model, &mut state, &scenes);
-    refit_from(model, state, scenes)
+    refit_from_within(model, state, scenes, most)
 }
 
 /// Brings the light of each stack of known objects to that of its frames, where it is far from it and was not fitted
@@ -151,7 +165,20 @@ fn within_reach(model: &Model<'_>, state: &mut State, scenes: &Scenes) {
 ///
 /// # Errors
 /// An object holds negative or non-finite light.
-pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result<Fitted, ForwardError> {
+pub fn refit_from(model: &Model<'_>, state: State, scenes: Scenes) -> Result<Fitted, ForwardError> {
+    refit_from_within(model, state, scenes, f64::INFINITY)
+}
+
+/// [`refit_from`], which gives up as [`refit_within`] does.
+///
+/// # Errors
+/// An object holds negative or non-finite light.
+pub fn refit_from_within(
+    model: &Model<'_>,
+    mut state: State,
+    scenes: Scenes,
+    most: f64,
+) -> Result<Fitted, ForwardError> {
     let own = own_columns(model, &state);
     for (term, t) in state.terms.iter_mut().enumerate().filter(|(_, t)| t.id() == PUPIL_DEFOCUS) {
         let is_fitted = own.iter().any(|c| matches!(c, Column::Own { term: of, .. } if *of == term));
@@ -164,16 +191,21 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
     let mut at = Point::of(model, &state, &columns, scenes)?;
     let mut slope = at.slope(model, &state, &columns)?;
     let mut damping = 1e-3;
+    let (mut last, mut given_up) = (f64::INFINITY, false);
     for step in 0..MOST_STEPS {
         let Step { proposal, expected_fall } = slope.step(model, &state, &columns, damping);
         if expected_fall < SETTLED && damping < 1.0 {
+            break;
+        }
+        given_up = step >= GIVEN_UP && at.training.deviance - AHEAD * expected_fall.max(last) > most;
+        if given_up {
             break;
         }
         let scenes = if emission { model.scenes(&proposal)?.into() } else { at.scenes.clone() };
         let next = Point::of(model, &proposal, &columns, scenes)?;
         let fall = at.training.deviance - next.training.deviance;
         if fall > 0.0 {
-            (state, at) = (proposal, next);
+            (state, at, last) = (proposal, next, fall);
             damping *= 0.2;
             let excess = (at.training.chi2 - at.training.pixels).max(0.0);
             if fall < SETTLED || step + 1 >= STEPS && fall < WORTH * excess {
@@ -196,6 +228,7 @@ pub fn refit_from(model: &Model<'_>, mut state: State, scenes: Scenes) -> Result
         predicted: at.predicted,
         scenes: at.scenes,
         gauges: slope.gauges,
+        given_up,
     })
 }
 

@@ -122,6 +122,7 @@ impl Measurement {
             known_held_out: none,
             even_held_out: none,
             gauges,
+            given_up: false,
         };
         let errors = replicas(&simulated, found.instrument, &fitted.state)?.of(&simulated, &fitted)?;
         let columns = columns(&simulated, &fitted, trials);

@@ -5,7 +5,7 @@ use super::finalists::{alike, of_jumps};
 use super::moment::with_best_moment;
 use crate::evidence::Test;
 use crate::fit::repeats::wings;
-use crate::fit::{Fitted, Model, State, Term, refit, refit_from};
+use crate::fit::{Fitted, Model, State, Term, refit, refit_from_within, refit_within};
 use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::Stage;
 use std::collections::BTreeMap;
@@ -25,6 +25,9 @@ pub(super) fn trace(gain: f64) -> f64 {
 
 /// Specimens are estimated again under fits whose deviance falls by this share of the largest fall.
 const CLOSE: f64 = 0.5;
+/// The fit of a finalist is given up where it cannot explain all but this share of what the best of those before it
+/// explains: less than that ([`CLOSE`]) beside specimens, which take a part of each effect.
+const BEHIND: f64 = 0.02;
 /// Under the best of them so often at most, and until the deviance falls by less than [`SETTLED`].
 const ROUNDS: usize = 5;
 const SETTLED: f64 = 5.0;
@@ -48,10 +51,24 @@ pub(super) fn fitted_beside(
     fit: &Fitted,
     terms: &[Term],
 ) -> Result<Fitted, ForwardError> {
+    fitted_within(model, state, fit, terms, f64::INFINITY)
+}
+
+/// [`fitted_beside`], which gives up where the training deviance cannot come below `most`.
+fn fitted_within(
+    model: &Model<'_>,
+    state: State,
+    fit: &Fitted,
+    terms: &[Term],
+    most: f64,
+) -> Result<Fitted, ForwardError> {
     let next = match terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object) {
-        true => refit(model, state)?,
-        false => refit_from(model, state, fit.scenes.clone())?,
+        true => refit_within(model, state, most)?,
+        false => refit_from_within(model, state, fit.scenes.clone(), most)?,
     };
+    if next.given_up {
+        return Ok(next);
+    }
     terms.iter().try_fold(next, |next, term| with_best_moment(model, next, term.id()))
 }
 
@@ -138,6 +155,21 @@ impl FullFits<'_, '_> {
         Ok(next)
     }
 
+    /// The training deviance above which the fit of a finalist is far behind the best of some others, whatever the
+    /// prices of their parameters.
+    fn worst_that_counts(&self, c: &Candidate, finalists: &[&Candidate], fits: &[(&'static str, Fitted)]) -> f64 {
+        let before = self.now.training.deviance;
+        let share = if self.now.state.specimens.is_some() { 1.0 - CLOSE } else { BEHIND };
+        let heaviest = finalists.iter().map(|c| weight(c.test.as_ref(), 1.0)).fold(1.0, f64::max);
+        let worst = |(id, fit): &(&str, Fitted)| {
+            let columns = finalists.iter().find(|f| f.term.id() == *id)?.columns.len();
+            let fall = before - fit.training.deviance;
+            let saved = PENALTY * columns.saturating_sub(c.columns.len()) as f64 * heaviest;
+            (fall > 0.0 && !fit.given_up).then_some(fit.training.deviance + share * fall + saved)
+        };
+        fits.iter().filter_map(worst).fold(f64::INFINITY, f64::min)
+    }
+
     /// Fits the finalists in full, unless `fits` holds them already, and checks the best on held-out data.
     pub(super) fn confirm<'c>(
         &self,
@@ -145,15 +177,18 @@ impl FullFits<'_, '_> {
         fits: &mut Vec<(&'static str, Fitted)>,
         progress: &mut impl FnMut(&str),
     ) -> Result<Verdict<'c>, ForwardError> {
-        fits.retain(|(id, _)| finalists.iter().any(|c| c.term.id() == *id));
+        // What was given up was compared with a finalist that may be gone.
+        fits.retain(|(id, fit)| !fit.given_up && finalists.iter().any(|c| c.term.id() == *id));
         for c in finalists {
             if fits.iter().any(|(id, _)| *id == c.term.id()) {
                 continue;
             }
             progress(c.term.id());
             let next = with(self.model, &self.now.state, c);
-            let fit = fitted_beside(self.model, next, self.now, std::slice::from_ref(&c.term))?;
-            tracing::info!("  fitted {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
+            let most = self.worst_that_counts(c, finalists, fits);
+            let fit = fitted_within(self.model, next, self.now, std::slice::from_ref(&c.term), most)?;
+            let how = if fit.given_up { "given up" } else { "fitted" };
+            tracing::info!("  {how} {:?}: deviance {:.1}", fit.state.terms.last(), fit.training.deviance);
             fits.push((c.term.id(), fit));
         }
         let falls = self.estimate_again(fits)?;
@@ -177,7 +212,7 @@ impl FullFits<'_, '_> {
             }
             let cost = price(c) * heaviest - fall;
             costs.push((c.term.id(), cost));
-            if cost < least {
+            if cost < least && !fit.given_up {
                 least = cost;
                 best = Some((if c.table.is_some() { c.worth() } else { worth(c, cost) }, *c));
             }

@@ -9,7 +9,7 @@
 use super::candidate::{Candidate, Found, PENALTY};
 use super::confirm::{Added, excess_left, fitted_beside, weight};
 use super::scoring::{is_possible, score};
-use super::select::{ALPHA, Search};
+use super::select::{ALPHA, SHADOW, Search};
 use super::trials::{NEEDS_CALIBRATION, Tried};
 use crate::evidence::{Scores, Test, holm};
 use crate::fit::{Column, Design, Fitted, Scope, Term, fitted_columns};
@@ -146,7 +146,11 @@ impl Search<'_, '_> {
             let more = test.gain > 1.1 * alone;
             (possible && more && test.p * chances < ALPHA).then_some(Pair { places: *places, test, first })
         };
-        let mut pairs: Vec<Pair> = all.par_iter().filter_map(tested).collect();
+        // The score of a pair in the shadow of a stronger effect shows that already, as for single effects.
+        let floor = SHADOW * self.cast_by(self.strongest_fall, self.now.training);
+        let shadowed = |at: &usize| able[*at].can_be_shadowed(self.now.training.pixels);
+        let in_shadow = |pair: &Pair| pair.test.gain < floor && pair.places.iter().any(shadowed);
+        let mut pairs: Vec<Pair> = all.par_iter().filter_map(tested).filter(|p| !in_shadow(p)).collect();
         // Where both are there, little scatter is left beside them.
         let least = pairs.iter().map(|p| p.test.phi).fold(f64::INFINITY, f64::min);
         let worth = |p: &Pair| p.test.gain - PENALTY * p.test.dof * least;

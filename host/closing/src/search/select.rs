@@ -251,7 +251,7 @@ impl<'m, 'a> Search<'m, 'a> {
     /// What casts a shadow on weaker effects: what the strongest effect explains, or, beside one, the excess that is
     /// left where that is more. The law of an effect and the PSFs of a calibration err by a small part each, and what
     /// they leave has the form of small changes. 0 without an effect: the first one stands beside nothing.
-    fn cast_by(&self, strongest: f64, now: Misfit) -> f64 {
+    pub(super) fn cast_by(&self, strongest: f64, now: Misfit) -> f64 {
         if strongest > 0.0 { strongest.max(now.chi2 - now.pixels) } else { 0.0 }
     }
 

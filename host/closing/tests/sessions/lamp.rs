@@ -83,3 +83,15 @@ fn a_lamp_that_flickers_is_no_effect_and_hides_none() {
     assert!(names(&moved).iter().all(|id| ["metadata_fault", "array_shift"].contains(id)), "{:?}", names(&moved));
     assert!(names(&moved).contains(&"array_shift"));
 }
+
+#[test]
+fn a_lamp_that_flickers_beside_a_stronger_effect_is_corrected_too() {
+    let folder = tempfile::tempdir().unwrap();
+    measured(Holds::Whole, &[EffectSetting::new("array_shift", &[("row_px", 0.8)])], folder.path(), 64);
+    flicker(folder.path());
+    let closing = closed(&Session::open(folder.path()).unwrap());
+    let named = names(&closing);
+    assert!(named.contains(&"array_shift") && named.contains(&"metadata_fault"), "{named:?}");
+    assert!(named.iter().all(|id| ["metadata_fault", "array_shift"].contains(id)), "{named:?}");
+    assert!(closing.verdict == Verdict::Adequate && closing.after.chi2_ndf < 1.1, "{:?}", closing.after);
+}
