@@ -124,7 +124,7 @@ fn the_lens_that_moved_is_named_and_nothing_else_is() {
     println!("{report:?}");
     assert!(report.alarm.is_none() && report.frames > 200, "{report:?}");
     for (name, value, statistic) in [("row_px_4", 0.3, 4), ("col_px_4", -0.3, 13)] {
-        let moved = scenes(&bench(120), 42, &[EffectSetting::new("lens_decentre", &[(name, value)])]);
+        let moved = scenes(&bench(160), 42, &[EffectSetting::new("lens_decentre", &[(name, value)])]);
         let report = watched(&maps, &[&quiet[..200], &moved]);
         println!("{name}: {report:?}");
         let Alarm { statistic: found, since, millionths, .. } = report.alarm.unwrap();

@@ -42,7 +42,20 @@ pub fn close(
     let (verdict, note) = quiet(closing.verdict, closing.after, &closing.effects);
     (closing.verdict, closing.catalogue_incomplete) = (verdict, verdict != Verdict::Adequate);
     closing.notes.extend(note);
+    if closing.verdict != Verdict::Adequate {
+        closing.notes.extend(few_scenes_note(instrument, seen)?);
+    }
     Ok(closed)
+}
+
+/// What to say where few scenes seem to flicker.
+fn few_scenes_note(instrument: &Instrument, seen: &Observations) -> Result<Option<String>, CloseError> {
+    if !flicker::are_few(seen) {
+        return Ok(None);
+    }
+    let model = Model::new(instrument, seen)?;
+    let light = flicker::light(&model, &refit(&model, model.state(instrument)?)?);
+    Ok(flicker::few_note(&light))
 }
 
 /// Refuses a session whose frames a program has changed, or whose flats show that its frames are in another unit than

@@ -14,15 +14,24 @@ const RMS: f64 = 0.005;
 const SHARE: f64 = 0.5;
 /// Significance of each, standard deviations, root mean square.
 const SIGNIFICANT: f64 = 5.0;
+/// Number of scenes from which it is said that they seem to flicker.
+const FEW: usize = 4;
 
 /// The light of a scene over that of its prediction.
 pub(crate) struct Light {
     /// Relative difference.
     by: f64,
-    /// Its significance squared: the fall of chi-squared.
-    fall: f64,
+    /// Its standard error.
+    sigma: f64,
     /// Chi-squared of the scene beyond its number of pixels.
     excess: f64,
+}
+
+impl Light {
+    /// The fall of chi-squared with the difference.
+    fn fall(&self) -> f64 {
+        (self.by / self.sigma).powi(2)
+    }
 }
 
 /// Whether the light of scenes differs so that a fit is worth its time, by a regression of images.
@@ -50,8 +59,8 @@ pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
                 light += own * own;
                 excess += left * left - 1.0;
             }
-            let by = along / light.max(f64::MIN_POSITIVE);
-            Light { by, fall: by * along, excess }
+            let light = light.max(f64::MIN_POSITIVE);
+            Light { by: along / light, sigma: light.powf(-0.5), excess }
         })
         .collect()
 }
@@ -59,15 +68,45 @@ pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
 /// Scales the objects of scenes by the light of each, where that explains most of what their prediction leaves and
 /// follows nothing that an effect could follow. `frames` are the scenes that were looked at, all of them.
 pub(crate) fn flicker(seen: &mut Observations, frames: &[Seen], light: &[Light]) -> Vec<Fault> {
-    if frames.len() != light.len() || !explains(light) || light.iter().any(|l| l.by <= -1.0) {
+    if frames.len() != light.len() || light.len() < SCENES || !explains(light) {
         return Vec::new();
     }
-    let logs = beside_median(light.iter().map(|l| l.by.ln_1p()).collect());
+    let logs = logs(light);
     if is_explained(seen, frames, &logs) {
         return Vec::new();
     }
     let factors: Vec<f64> = logs.iter().map(|log| log.exp()).collect();
-    scaled(seen, frames, &factors, |i| light[i].fall.sqrt())
+    scaled(seen, frames, &factors, |i| (logs[i] * (1.0 + light[i].by) / light[i].sigma).abs())
+}
+
+/// Whether the scenes with known objects are so many that a note may say so, and too few for more.
+pub(crate) fn are_few(seen: &Observations) -> bool {
+    let scenes = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_))).count();
+    (FEW..SCENES).contains(&scenes)
+}
+
+/// What to say of scenes that seem to flicker, and are too few to show that nothing else follows their light. None:
+/// they do not, or they are enough.
+pub(crate) fn few_note(light: &[Light]) -> Option<String> {
+    if !(FEW..SCENES).contains(&light.len()) || !explains(light) {
+        return None;
+    }
+    let logs = logs(light);
+    let end = |of: fn(f64, f64) -> f64| logs.iter().copied().reduce(of).map_or(1.0, f64::exp);
+    Some(format!(
+        "the {} scenes differ in brightness, {:.3} to {:.3} times that of their objects relative to one another, and \
+         that explains most of what their prediction leaves: the lamp flickers, or light or exposures were not written \
+         down. From {SCENES} scenes on it is shown whether anything else follows their light, and corrected where \
+         nothing does",
+        light.len(),
+        end(f64::min),
+        end(f64::max)
+    ))
+}
+
+/// Logarithms of the light of scenes beside their median.
+fn logs(light: &[Light]) -> Vec<f64> {
+    beside_median(light.iter().map(|l| l.by.ln_1p()).collect())
 }
 
 fn beside_median(logs: Vec<f64>) -> Vec<f64> {
@@ -79,10 +118,11 @@ fn beside_median(logs: Vec<f64>) -> Vec<f64> {
 fn explains(light: &[Light]) -> bool {
     let n = light.len() as f64;
     let sum = |of: fn(&Light) -> f64| light.iter().map(of).sum::<f64>();
-    let (squares, fall) = (sum(|l| l.by * l.by), sum(|l| l.fall));
+    let (squares, fall) = (sum(|l| l.by * l.by), sum(Light::fall));
     let alone = light.iter().any(|l| l.by * l.by > 0.5 * squares);
     let is_large = (squares / n).sqrt() > RMS && fall > SIGNIFICANT.powi(2) * n;
-    light.len() >= SCENES && is_large && !alone && fall > SHARE * sum(|l| l.excess)
+    let is_light = light.iter().all(|l| l.by > -1.0);
+    is_light && is_large && !alone && fall > SHARE * sum(|l| l.excess)
 }
 
 #[cfg(test)]
@@ -92,7 +132,7 @@ mod tests {
     #[test]
     fn scenes_that_flicker_are_found_and_one_that_stands_alone_or_a_blur_is_not() {
         let is_found = |factors: [f64; 6], other: f64| {
-            let light = factors.map(|by| Light { by, fall: by * by * 1e6, excess: by * by * 1e6 + other });
+            let light = factors.map(|by| Light { by, sigma: 1e-3, excess: by * by * 1e6 + other });
             explains(&light)
         };
         let flicker = [0.05, -0.04, 0.03, -0.06, 0.02, -0.01];
@@ -100,5 +140,17 @@ mod tests {
         assert!(!is_found([0.0, 0.0, 0.2, 0.001, 0.0, 0.0], 100.0));
         assert!(!is_found(flicker, 1e5));
         assert!(!is_found([1e-3, -1e-3, 2e-3, 0.0, -1e-3, 1e-3], 0.1));
+    }
+
+    #[test]
+    fn few_scenes_that_seem_to_flicker_have_a_note() {
+        let light = |factors: &[f64]| -> Vec<Light> {
+            factors.iter().map(|by| Light { by: *by, sigma: 1e-3, excess: by * by * 1e6 + 100.0 }).collect()
+        };
+        let note = few_note(&light(&[0.05, -0.04, 0.03, -0.04])).unwrap_or_default();
+        assert!(note.starts_with("the 4 scenes differ in brightness, 0.932 to 1.019"), "{note}");
+        assert_eq!(few_note(&light(&[0.05, -0.04, 0.03])), None);
+        assert_eq!(few_note(&light(&[0.05, -0.04, 0.03, -0.06, 0.02, -0.01])), None);
+        assert_eq!(few_note(&light(&[0.0, 0.0, 0.2, 0.001])), None);
     }
 }

@@ -77,6 +77,10 @@ fn a_lamp_that_flickers_is_no_effect_and_hides_none() {
     let nothing = with("nothing", &[], 62);
     assert_eq!((units(&nothing), names(&nothing)), ((0..8).collect(), vec!["metadata_fault"; 8]));
     assert!(nothing.verdict == Verdict::Adequate && nothing.after.chi2_ndf < 1.1, "{:?}", nothing.after);
+    // Factors are relative to the median scene, and so is their evidence.
+    let is_median = |f: &&FaultKind| matches!(f, FaultKind::Unit { factor } if *factor == 1.0);
+    assert_eq!(nothing.faults.iter().map(|f| &f.kind).filter(is_median).count(), 1);
+    assert!(nothing.faults.iter().all(|f| (f.z > 5.0) == (f.kind != FaultKind::Unit { factor: 1.0 })));
     assert!(nothing.notes.iter().any(|n| n.contains("illumination")), "{:?}", nothing.notes);
     let moved = with("moved", &[EffectSetting::new("array_shift", &[("row_px", 0.05)])], 63);
     assert_eq!(units(&moved).len(), 8);

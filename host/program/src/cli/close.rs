@@ -9,6 +9,7 @@ use ommatidia_closing::{
 };
 use ommatidia_model::calibrate::CalibrateConfig;
 use ommatidia_network::methods::frame_range;
+use ommatidia_physics::effects::Stage;
 use ommatidia_session::Session;
 use ommatidia_session::kind::FileKind;
 
@@ -146,13 +147,18 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
     if closing.effects.is_empty() {
         let _ = writeln!(out, "\nno effect found");
     }
-    for e in &closing.effects {
+    let of_records = |e: &&Effect| e.stage == Stage::Record.part();
+    let (faults, others): (Vec<&Effect>, Vec<&Effect>) = closing.effects.iter().partition(of_records);
+    for e in faults.iter().take(FEW).chain(&others) {
         let _ = writeln!(out, "\n{} ({}, z = {:.1}){}", e.id, e.stage, e.z, explained(e));
         let _ = writeln!(out, "  {}", e.description);
         if !e.ambiguity.is_empty() {
             let separate = e.separate_by.as_deref().unwrap_or("more data");
             let _ = writeln!(out, "  could also be {}; to distinguish them: {separate}", e.ambiguity.join(", "));
         }
+    }
+    if let Some(more) = more_faults(faults.len()) {
+        let _ = writeln!(out, "\n{more}");
     }
     for n in &closing.nearest {
         let _ = writeln!(out, "\nlike {} (z = {:.1}), which is not shown as the cause: {}", n.id, n.z, n.why);
@@ -205,6 +211,15 @@ pub fn table(closing: &Closing, output: &Path, account: &Path, seconds: f64) -> 
     }
     let _ = writeln!(out, "{seconds:.1} s\n-> {}\n-> {}", output.display(), account.display());
     out
+}
+
+/// Number of faults of the records that are listed on the screen.
+pub(super) const FEW: usize = 4;
+
+/// A line in the place of further faults of the records. None: all are listed.
+pub(super) fn more_faults(faults: usize) -> Option<String> {
+    let more = faults.checked_sub(FEW).filter(|n| *n > 0)?;
+    Some(format!("{more} more frames have faults in their records; `--json` lists all"))
 }
 
 /// The measurements that are advised, each with what it is expected to separate.

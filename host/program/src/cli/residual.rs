@@ -1,6 +1,6 @@
 //! `residual`: measured minus predicted, and what it depends on.
 
-use super::close::{figure, judged_on};
+use super::close::{FEW, figure, judged_on, more_faults};
 use super::common::{left_out, odd_scenes};
 use super::files::{Content, Files};
 use super::{Outcome, Run};
@@ -74,8 +74,11 @@ pub fn run(args: &Args, run: &Run) -> anyhow::Result<Outcome> {
     for note in &c.notes {
         let _ = writeln!(text, "note: {note}");
     }
-    for fault in &c.faults {
+    for fault in c.faults.iter().take(FEW) {
         let _ = writeln!(text, "record: {}", fault.words());
+    }
+    if let Some(more) = more_faults(c.faults.len()) {
+        let _ = writeln!(text, "record: {more}");
     }
     let _ = writeln!(text, "{:<40} {:>10} {:>10} {:>8}", "the residual depends on", "chi2", "expected", "sigma");
     for d in &c.dependences_before {

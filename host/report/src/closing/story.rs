@@ -2,11 +2,13 @@
 
 use super::{Asked, words};
 use maud::{Markup, html};
-use ommatidia_closing::{Closing, Dependence, Effect, JudgedOn, Value};
+use ommatidia_closing::{Closing, Dependence, Effect, Fault, JudgedOn, Value};
 use ommatidia_physics::effects::find;
 
 /// Effects that explain less than this share of the excess are named without details.
 const MAIN: f64 = 0.05;
+/// Faults of the records before the others are folded.
+const FEW: usize = 4;
 /// A fall of chi-squared by less than this share is not called better.
 const VISIBLE: f64 = 1e-3;
 
@@ -26,12 +28,20 @@ pub fn faults(c: &Closing) -> Markup {
             @if !c.faults.iter().any(|f| f.kind.is_of_all_truths()) {
                 p { "They were corrected before the fit. Correct them in the session as well." }
             }
-            ul { @for f in &c.faults { li {
-                b { (words::capital(&f.words())) }
-                span.soft { " " (words::sigma(f.z)) "; correlation with the frame that the record predicts "
-                    (format!("{:.3}", f.correlation_before)) " → " (format!("{:.3}", f.correlation_after)) }
-            } } }
+            @let (few, more) = c.faults.split_at(c.faults.len().min(FEW));
+            (listed(few))
+            @if !more.is_empty() { details { summary { (more.len()) " more frames" } (listed(more)) } }
         }
+    }
+}
+
+fn listed(faults: &[Fault]) -> Markup {
+    html! {
+        ul { @for f in faults { li {
+            b { (words::capital(&f.words())) }
+            span.soft { " " (words::sigma(f.z)) "; correlation with the frame that the record predicts "
+                (format!("{:.3}", f.correlation_before)) " → " (format!("{:.3}", f.correlation_after)) }
+        } } }
     }
 }
 

@@ -238,6 +238,9 @@ fn faults_of_the_record_come_first() {
     assert!(page.starts_with("<aside class=\"warn\">"));
     holds(&page, &["Scene frame 4 shows the object that is recorded for frame 6", "1.2500 times", "321 σ"]);
     assert!(!page.contains("metadata fault"), "faults are reported once");
+    a.closing.faults = (0..12).map(|frame| fault(frame, FaultKind::Unit { factor: 1.01 })).collect();
+    let page = render(&a, Asked::Close);
+    holds(&page, &["8 more frames", "Scene frame 0 has 1.0100 times", "Scene frame 11 has 1.0100 times"]);
     a.closing.effects.truncate(1);
     a.closing.faults = vec![fault(0, FaultKind::MisplacedOneByOne { rms_px: 0.7 })];
     let page = render(&a, Asked::Close);
