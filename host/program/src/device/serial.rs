@@ -4,7 +4,7 @@ use super::error::DeviceError;
 use super::transport::Transport;
 use serialport::SerialPort;
 use std::io::ErrorKind;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Default rate of the serial line, bits per second.
 pub const BAUD: u32 = 921_600;
@@ -14,6 +14,10 @@ const WAIT: Duration = Duration::from_millis(200);
 /// The longest wait for a line that takes no more bytes.
 const SEND_WITHIN: Duration = Duration::from_secs(1);
 
+/// The longest wait for another program to let go of the port: it may just be ending, or starting a program of its own,
+/// which holds what it has inherited for a moment.
+const FREE_WITHIN: Duration = Duration::from_millis(500);
+
 /// A serial port with a board: 8 data bits, no parity, one stop bit.
 #[derive(Debug)]
 pub struct Serial {
@@ -22,16 +26,25 @@ pub struct Serial {
 }
 
 impl Serial {
-    /// Opens a port, e.g. `/dev/ttyACM0` or `COM3`, at `baud` bits per second, and drops bytes received before.
+    /// Opens a port, e.g. `/dev/ttyACM0` or `COM3`, at `baud` bits per second, and drops bytes received before. Waits
+    /// for up to half a second where another program holds the port.
     ///
     /// # Errors
-    /// The port does not exist, or access is denied.
+    /// The port does not exist, access is denied, or another program goes on holding it.
     pub fn open(name: &str, baud: u32) -> Result<Self, DeviceError> {
         let refused = |source: serialport::Error| {
             let advice = advice(source.kind());
             DeviceError::Port { port: name.into(), source, advice }
         };
-        let port = serialport::new(name, baud).timeout(WAIT).open().map_err(refused)?;
+        let start = Instant::now();
+        let port = loop {
+            match serialport::new(name, baud).timeout(WAIT).open() {
+                Err(error) if error.kind() == serialport::ErrorKind::NoDevice && start.elapsed() < FREE_WITHIN => {
+                    std::thread::sleep(FREE_WITHIN / 20);
+                }
+                opened => break opened.map_err(refused)?,
+            }
+        };
         port.clear(serialport::ClearBuffer::Input).map_err(refused)?;
         Ok(Self { port, name: name.into() })
     }
@@ -200,11 +213,24 @@ mod tests {
     }
 
     #[test]
+    fn a_port_that_another_program_is_about_to_leave_is_waited_for() {
+        let board = Board::plugged(LoopbackConfig::default());
+        let other = Serial::open(&board.port, BAUD).unwrap();
+        let leaves = std::thread::spawn(move || {
+            std::thread::sleep(Duration::from_millis(150));
+            drop(other);
+        });
+        Serial::open(&board.port, BAUD).unwrap();
+        leaves.join().unwrap();
+        board.unplug();
+    }
+
+    #[test]
     fn a_board_that_is_unplugged_is_reported_at_once() {
         let board = Board::plugged(LoopbackConfig::default());
         let (mut client, _) = Client::connect(Serial::open(&board.port, BAUD).unwrap()).unwrap();
         board.unplug();
-        let start = std::time::Instant::now();
+        let start = Instant::now();
         let error = client.telemetry().unwrap_err();
         assert!(matches!(error, DeviceError::Unplugged { .. }), "{error}");
         assert!(start.elapsed() < Duration::from_secs(2));
