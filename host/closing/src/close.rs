@@ -21,8 +21,8 @@ use ommatidia_physics::effects::Stage;
 const FLICKERS: f64 = 0.5;
 
 /// Searches for the effects that an instrument lacks and adds them. Faults of the session's records are corrected in
-/// `seen`: those of objects before anything is fitted, those of exposures only where no effect explains them. Calls
-/// `progress` with the name of each step that begins.
+/// `seen`: those of objects before anything is fitted, those of exposures and of a lamp that flickers beside an effect
+/// only where no effect explains them. Calls `progress` with the name of each step that begins.
 ///
 /// # Errors
 /// The parts of the instrument disagree, an object holds negative light, or there is no frame.

@@ -28,7 +28,8 @@ const CLOSE: f64 = 0.5;
 /// The fit of a finalist is given up where it cannot explain all but this share of what the best of those before it
 /// explains: less than that ([`CLOSE`]) beside specimens, which take a part of each effect.
 const BEHIND: f64 = 0.02;
-/// Under the best of them so often at most, and until the deviance falls by less than [`SETTLED`].
+/// Specimens are estimated again under the best of the fits so often at most, and until the deviance falls by less than
+/// [`SETTLED`].
 const ROUNDS: usize = 5;
 const SETTLED: f64 = 5.0;
 

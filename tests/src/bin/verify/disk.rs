@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use std::path::Path;
 
-/// Room that all steps need, bytes: they leave 4.5 GB in the target folder, and parts of images that are linked go.
+/// Room that all steps need, bytes: an estimate, from the 4.5 GB that they leave in the target folder.
 const ALL: u64 = 7_000_000_000;
 
 /// Checks that the disk of the target folder has room for what is not built yet.
