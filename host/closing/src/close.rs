@@ -11,7 +11,7 @@ use super::data::{
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{
     Model, State, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, flicker, orientation,
-    pedestal, record, refit, replicas,
+    pedestal, record, refit, replicas, scene_light, units,
 };
 use super::options::{CloseError, CloseOptions};
 use ommatidia_model::instrument::Instrument;
@@ -53,9 +53,7 @@ fn few_scenes_note(instrument: &Instrument, seen: &Observations) -> Result<Optio
     if !flicker::are_few(seen) {
         return Ok(None);
     }
-    let model = Model::new(instrument, seen)?;
-    let light = flicker::light(&model, &refit(&model, model.state(instrument)?)?);
-    Ok(flicker::few_note(&light))
+    Ok(flicker::few_note(&own_light_of(instrument, seen, None)?))
 }
 
 /// Refuses a session whose frames a program has changed, or whose flats show that its frames are in another unit than
@@ -71,8 +69,8 @@ fn screened(instrument: &Instrument, seen: &mut Observations) -> Result<Vec<Stri
     Ok(leave_lit_darks_out(seen, noise))
 }
 
-/// One attempt with the records as they are, and another one where the first does not explain exposures that are in
-/// doubt.
+/// One attempt with the records as they are, and another one where exposures are still in doubt beside what the first
+/// has found.
 fn attempts(
     instrument: &Instrument,
     seen: &mut Observations,
@@ -91,13 +89,19 @@ fn attempts(
         Outcome::Ended(first) => first,
         Outcome::Misplaced(fault) => return without_truths(instrument, seen, options, (faults, fault)),
     };
-    if first.explains_all() {
-        return Ok(first.closed);
-    }
     if doubted.is_empty() {
-        return beside_flicker(instrument, seen, options, (faults, *first), progress);
+        if first.explains_all() {
+            return Ok(first.closed);
+        }
+        // A strong effect hides a wrong exposure until it is found.
+        let late = doubted_under(instrument, seen, &first.state)?;
+        if late.is_empty() {
+            return beside_flicker(instrument, seen, options, (faults, *first), progress);
+        }
+        return beside_exposures(instrument, seen, options, (faults, late, *first), progress);
     }
-    let left = doubted_exposures(instrument, seen, &first.state)?;
+    // What is left may be as small as errors of the calibration: they do not change the light of one frame.
+    let left = doubted_under(instrument, seen, &first.state)?;
     let wrong: Vec<Fault> = doubted.into_iter().filter(|d| left.iter().any(|l| l.frame == d.frame)).collect();
     if wrong.is_empty() {
         return Ok(first.closed);
@@ -108,6 +112,28 @@ fn attempts(
         Outcome::Ended(second) => Ok(second.closed),
         Outcome::Misplaced(fault) => without_truths(instrument, seen, options, (faults, fault)),
     }
+}
+
+/// Another attempt where exposures are wrong beside what the first one has named. It counts where it leaves no more of
+/// the excess than the first; the records stay as they are otherwise.
+fn beside_exposures(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    options: &CloseOptions<'_>,
+    (mut faults, wrong, first): (Vec<Fault>, Vec<Fault>, Attempt),
+    mut progress: impl FnMut(&str),
+) -> Result<Closed, CloseError> {
+    let recorded: Vec<f64> = seen.frames.iter().map(|f| f.info.exposure_ms).collect();
+    exposures::correct_exposures(seen, &wrong);
+    faults.extend(wrong);
+    let given = Given { exclude: options.exclude, faults: &faults };
+    if let Outcome::Ended(second) = attempt(instrument, seen, options, given, &mut progress)? {
+        if second.closed.account.closing.after.chi2_ndf <= first.closed.account.closing.after.chi2_ndf {
+            return Ok(second.closed);
+        }
+    }
+    seen.frames.iter_mut().zip(recorded).for_each(|(f, exposure_ms)| f.info.exposure_ms = exposure_ms);
+    Ok(first.closed)
 }
 
 /// Another attempt where scenes flicker beside what the first one has named. It counts where it leaves less than
@@ -269,10 +295,10 @@ fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Ve
         frames = looked(instrument, seen, None)?.unwrap_or_default();
     }
     faults.extend(lit_everywhere);
-    let units = exposures::units(seen, &frames);
-    let own_light = if units.is_empty() { flickering(instrument, seen, &frames, None)? } else { units };
+    let own_units = units::units(seen, &frames);
+    let own_light = if own_units.is_empty() { flickering(instrument, seen, &frames, None)? } else { own_units };
     // All of them have their own light then.
-    let doubted = if own_light.is_empty() { exposures::exposures(seen, &frames) } else { Vec::new() };
+    let doubted = if own_light.is_empty() { doubted(instrument, seen, &frames, None)? } else { Vec::new() };
     faults.extend(own_light);
     Ok([faults, doubted])
 }
@@ -301,16 +327,48 @@ fn flickering(
     if !flicker::may_flicker(seen, frames) {
         return Ok(Vec::new());
     }
-    let light = {
-        let model = Model::new(instrument, seen)?;
-        let state = state.map_or_else(|| model.state(instrument), Ok)?;
-        flicker::light(&model, &refit(&model, state)?)
-    };
+    let light = own_light_of(instrument, seen, state)?;
     Ok(flicker::flicker(seen, frames, &light))
 }
 
-/// Exposures that contradict their frames under a state.
-fn doubted_exposures(instrument: &Instrument, seen: &Observations, state: &State) -> Result<Vec<Fault>, CloseError> {
-    let frames = looked(instrument, seen, Some(state))?;
-    Ok(frames.map_or_else(Vec::new, |frames| exposures::exposures(seen, &frames)))
+/// Exposures that contradict their frames under a state, or that of the instrument.
+fn doubted(
+    instrument: &Instrument,
+    seen: &Observations,
+    frames: &[record::Seen],
+    state: Option<&State>,
+) -> Result<Vec<Fault>, CloseError> {
+    let mut found = exposures::exposures(seen, frames);
+    if exposures::may_be_wrong(frames) {
+        let light = own_light_of(instrument, seen, state.cloned())?;
+        let mut more = exposures::exposures_by_light(seen, frames, &light);
+        more.retain(|m| !found.iter().any(|f| f.frame == m.frame));
+        if !more.is_empty() {
+            let mut corrected = seen.clone();
+            exposures::correct_exposures(&mut corrected, &more);
+            let light = own_light_of(instrument, &corrected, state.cloned())?;
+            exposures::refine(seen, frames, &light, &mut more);
+        }
+        found.extend(more);
+    }
+    Ok(found)
+}
+
+/// The light of each scene under a state, or that of the instrument, which is fitted.
+fn own_light_of(
+    instrument: &Instrument,
+    seen: &Observations,
+    state: Option<State>,
+) -> Result<Vec<scene_light::Light>, CloseError> {
+    let model = Model::new(instrument, seen)?;
+    let state = state.map_or_else(|| model.state(instrument), Ok)?;
+    Ok(scene_light::light(&model, &refit(&model, state)?))
+}
+
+/// As [`doubted`], of the frames as a state predicts them.
+fn doubted_under(instrument: &Instrument, seen: &Observations, state: &State) -> Result<Vec<Fault>, CloseError> {
+    match looked(instrument, seen, Some(state))? {
+        Some(frames) => doubted(instrument, seen, &frames, Some(state)),
+        None => Ok(Vec::new()),
+    }
 }

@@ -345,6 +345,23 @@ fn describe(term: &Term, params: &[Value]) -> String {
             short(params[0].value),
             short(params[0].sigma)
         ),
+        "unknown_gradient" => {
+            let of = |y: f64, x: f64| {
+                let terms = [y, x, y * y, x * x, y * x];
+                params.iter().zip(terms).map(|(v, term)| v.value * term).sum::<f64>()
+            };
+            let corners = [(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)].map(|(y, x)| short(of(y, x)));
+            format!(
+                "unknown: a factor on the light that changes slowly over the sensor, by {}, {}, {} and {} in its \
+                 corners (first and last column of the first and the last row) relative to its middle; {} degrees of \
+                 freedom; cause not identified: a filter, a window or a response that changes over the sensor",
+                corners[0],
+                corners[1],
+                corners[2],
+                corners[3],
+                params.len()
+            )
+        }
         "unknown_warp" => {
             let most = params.iter().map(|v| v.value.abs()).fold(0.0, f64::max);
             format!(

@@ -1,29 +1,18 @@
-//! Light that contradicts the records: single exposures, and objects in units of their own.
+//! Single exposures that contradict the records.
 //!
 //! An exposure is doubted before the first fit and decided after the search: an effect that the model lacks can make
-//! single frames darker or brighter too. Units are corrected before: what makes all frames differ at random, by a tenth
-//! and more, is no effect of an instrument.
+//! single frames darker or brighter too.
 
 use super::record::{SMOOTH_PX, Seen, correlation, median, slope};
-use super::solve::pseudo_inverse;
+use super::scene_light::{ALIKE, Light, PARTS, logs, scatter, slopes};
 use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
-use ndarray::{Array1, Array2, ArrayView1};
+use ndarray::ArrayView1;
 use ommatidia_physics::effects::blur_within;
 use rayon::prelude::*;
 
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
-/// Objects have units of their own if the light of the frames relative to them scatters by more than this share
-/// (median), and what may explain that ([`is_explained`]) leaves no less than [`UNEXPLAINED`] of it.
-const SCATTER: f64 = 0.1;
-const UNEXPLAINED: f64 = 0.3;
-/// Number of scenes that this takes.
-pub(super) const SCENES: usize = 6;
-/// Number of scenes from which a falloff of the light has a centre of its own.
-const CENTRED: usize = 8;
-/// Correlation with the objects that it takes.
-pub(super) const ALIKE: f64 = 0.8;
 /// A wrong exposure changes the light of a frame and not its form: the frame leaves at most so many times the variance
 /// that the scenes usually leave, and this much of its own. What misses a source at its edge leaves more.
 const AS_USUAL: f64 = 4.0;
@@ -32,155 +21,13 @@ const SLACK: f64 = 0.01;
 /// than [`LIGHT`] as well, and by so many times its standard error by their scatter. Light that falls into a frame from
 /// elsewhere is not even.
 const EVEN: f64 = 4.0;
-const PARTS: usize = 3;
-
-/// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept,
-/// so that an even background is no light of the specimen.
-fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
-    let of = |s: &Seen| {
-        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
-        [slope(&y, &m), correlation(&y, &m)]
-    };
-    frames.par_iter().map(of).collect()
-}
-
-/// Finds scenes whose objects are recorded in units of light of their own, and corrects the observations: the light of
-/// nearly all frames differs from that of their objects by a factor that follows neither their order nor their
-/// exposure.
-pub fn units(seen: &mut Observations, frames: &[Seen]) -> Vec<Fault> {
-    let slopes = slopes(frames);
-    let alike = median(slopes.iter().map(|s| s[1]).collect()).unwrap_or(0.0);
-    if frames.len() < SCENES || alike < ALIKE || slopes.iter().any(|s| s[0] <= 0.0) {
-        return Vec::new();
-    }
-    let all: Vec<f64> = slopes.iter().map(|s| s[0].ln()).collect();
-    let usual = median(all.clone()).unwrap_or(0.0);
-    let logs: Vec<f64> = all.iter().map(|v| v - usual).collect();
-    if scatter(&logs) < SCATTER || is_explained(seen, frames, &logs) {
-        return Vec::new();
-    }
-    let factors: Vec<f64> = logs.iter().map(|log| log.exp()).collect();
-    let z = |i: usize| logs[i].abs() / (1.0 - slopes[i][1].powi(2)).max(1e-6).sqrt();
-    scaled(seen, frames, &factors, z)
-}
-
-/// Gives each scene its own unit of light: `factors` of its object, as certain as `z` says, in standard deviations.
-pub(super) fn scaled(
-    seen: &mut Observations,
-    frames: &[Seen],
-    factors: &[f64],
-    z: impl Fn(usize) -> f64,
-) -> Vec<Fault> {
-    let mut faults = Vec::new();
-    for (i, (s, factor)) in frames.iter().zip(factors).enumerate() {
-        let Shown::Object(truth) = seen.frames[s.frame].shown else { continue };
-        seen.truths.push(seen.truths[truth].mapv(|v| v * *factor as f32));
-        seen.frames[s.frame].shown = Shown::Object(seen.truths.len() - 1);
-        let r = correlation(&blur_within(&s.measured, SMOOTH_PX), &blur_within(&s.own, SMOOTH_PX));
-        faults.push(Fault {
-            frame: seen.frames[s.frame].info.frame,
-            kind: FaultKind::Unit { factor: *factor },
-            z: z(i),
-            correlation_before: r,
-            correlation_after: r,
-        });
-    }
-    faults
-}
-
-/// Median of the sizes of some values.
-pub(super) fn scatter(values: &[f64]) -> f64 {
-    median(values.iter().map(|v| v.abs()).collect()).unwrap_or(0.0)
-}
-
-/// Whether a drift with the exposures, a lamp that alternates, the places of the light or its level leave little of the
-/// differences between the light of scenes, whose logarithms are given.
-pub(super) fn is_explained(seen: &Observations, frames: &[Seen], logs: &[f64]) -> bool {
-    // A falloff is linear in the light itself.
-    let factors: Vec<f64> = logs.iter().map(|v| v.exp() - 1.0).collect();
-    let all = scatter(logs);
-    let left = [
-        unexplained(seen, frames, logs),
-        beside_alternation(seen, frames, logs),
-        beside_places(seen, frames, &factors),
-        beside_levels(seen, frames, &factors),
-    ];
-    // Values that are fitted leave less of what they do not explain, too.
-    let n = frames.len() as f64;
-    let left = left.map(|(left, fitted)| scatter(&left) * (n / (n - fitted as f64).max(1.0)).sqrt());
-    left.iter().any(|left| *left < UNEXPLAINED * all)
-}
-
-/// What a drift (a parabola over the frames) and an error of the exposures do not explain of some values of the frames.
-fn unexplained(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
-    let of = |s: &Seen| {
-        let info = &seen.frames[s.frame].info;
-        let t = info.frame as f64 / frames.len() as f64;
-        [1.0, t, t * t, 1.0 / info.exposure_ms.max(1e-9)]
-    };
-    let rows: Vec<[f64; 4]> = frames.iter().map(of).collect();
-    left_by(&Array2::from_shape_fn((rows.len(), 4), |(i, j)| rows[i][j]), values)
-}
-
-/// What a lamp that alternates from frame to frame does not explain of some values of the frames.
-fn beside_alternation(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
-    let odd = |s: &Seen| seen.frames[s.frame].info.frame % 2;
-    let mean = |parity: usize| {
-        let of = frames.iter().zip(values).filter(|(s, _)| odd(s) == parity).map(|(_, v)| *v);
-        let (n, sum) = of.fold((0.0, 0.0), |(n, sum), v| (n + 1.0, sum + v));
-        sum / f64::max(n, 1.0)
-    };
-    let means = [mean(0), mean(1)];
-    (frames.iter().zip(values).map(|(s, v)| v - means[odd(s)]).collect(), means.len())
-}
-
-/// What the places of the light in the objects do not explain of some values of the frames. Where the light falls off
-/// over the field, objects at its rim seem darker than those in its middle. As in a regression of images, places count
-/// by the square of their light.
-fn beside_places(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
-    let of = |s: &Seen| -> [f64; 4] {
-        let Shown::Object(truth) = seen.frames[s.frame].shown else { return [1.0, 0.0, 0.0, 0.0] };
-        let object = &seen.truths[truth];
-        let (rows, cols) = object.dim();
-        let at = |i: usize, n: usize| (2.0 * i as f64 + 1.0) / n as f64 - 1.0;
-        let mut sums = [0.0; 4];
-        for ((r, c), light) in object.indexed_iter() {
-            let (y, x, weight) = (at(r, rows), at(c, cols), f64::from(*light).powi(2));
-            for (sum, v) in sums.iter_mut().zip([1.0, y * y + x * x, y, x]) {
-                *sum += weight * v;
-            }
-        }
-        let all = sums[0].max(1e-30);
-        sums.map(|v| v / all)
-    };
-    // With few frames the place of the centre would explain too much by chance.
-    let terms = if frames.len() < CENTRED { 2 } else { 4 };
-    let rows: Vec<[f64; 4]> = frames.iter().map(of).collect();
-    left_by(&Array2::from_shape_fn((rows.len(), terms), |(i, j)| rows[i][j]), values)
-}
-
-/// What the light of the objects does not explain of some values of the frames: a sensor that is not linear makes
-/// bright frames too bright or too dark.
-fn beside_levels(seen: &Observations, frames: &[Seen], values: &[f64]) -> (Vec<f64>, usize) {
-    let of = |s: &Seen| {
-        let Shown::Object(truth) = seen.frames[s.frame].shown else { return [0.0; 2] };
-        let [sum, squares] = [1, 2].map(|p| seen.truths[truth].iter().map(|v| f64::from(*v).powi(p)).sum::<f64>());
-        [sum, squares / sum.max(1e-30)].map(|v| v * seen.frames[s.frame].info.exposure_ms)
-    };
-    let levels: Vec<[f64; 2]> = frames.iter().map(of).collect();
-    let most = [0, 1].map(|i| levels.iter().map(|l| l[i]).fold(1e-30, f64::max));
-    // The light of a whole frame, and that of the pixels that hold most of it.
-    let x = Array2::from_shape_fn((levels.len(), 3), |(i, j)| j.checked_sub(1).map_or(1.0, |j| levels[i][j] / most[j]));
-    left_by(&x, values)
-}
-
-/// What a linear regression on the columns of `x` [values, columns] leaves of some values, and the number of values
-/// that it fits.
-fn left_by(x: &Array2<f64>, values: &[f64]) -> (Vec<f64>, usize) {
-    let y = Array1::from_vec(values.to_vec());
-    let fit = x.dot(&pseudo_inverse(&x.t().dot(x)).dot(&x.t().dot(&y)));
-    ((y - fit).to_vec(), x.ncols())
-}
+/// Noise alone changes the light of a frame by less than so many standard deviations.
+const NOISE: f64 = 6.0;
+/// A light is doubted by so many times the scatter of the frames.
+const STANDS_OUT: f64 = 12.0;
+/// The regression of dim frames scatters by more than their light does: a fit is worth its time from so many times its
+/// scatter on.
+const MAY_STAND_OUT: f64 = 3.0;
 
 /// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
 /// may do that as well, so nothing is corrected yet.
@@ -198,7 +45,8 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
     let unlike = |factor: f64| (factor - 1.0).abs();
     // One frame against all others: a drift of the lamp changes all of them.
     let stands_out = |i: usize, factor: f64| {
-        looks_like_it(alike[i]) && unlike(factor) > LIGHT.max(12.0 * scatter) + at_the_border(seen, frames[i].frame)
+        looks_like_it(alike[i])
+            && unlike(factor) > LIGHT.max(STANDS_OUT * scatter) + at_the_border(seen, frames[i].frame)
     };
     let factors: Vec<f64> = slopes.iter().map(|slope| slope / usual).collect();
     if !factors.iter().enumerate().any(|(i, factor)| stands_out(i, *factor)) {
@@ -220,6 +68,76 @@ pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
         }
     }
     faults
+}
+
+/// Whether a scene's light may differ from that of the others by a factor of its own, so that it is worth a fit to find
+/// out: [`exposures`] does not see it in dim scenes, whose noise scatters its regression.
+pub(crate) fn may_be_wrong(frames: &[Seen]) -> bool {
+    let slopes: Vec<f64> = slopes(frames).into_iter().map(|s| s[0]).collect();
+    let usual = median(slopes.clone()).unwrap_or(0.0);
+    let by: Vec<f64> = slopes.iter().map(|v| (v / usual - 1.0).abs()).collect();
+    let least = LIGHT.max(MAY_STAND_OUT * scatter(&by));
+    tracing::debug!("light of frames by regression, beside their median: {by:.3?}");
+    by.len() >= 4 && usual > 0.0 && by.iter().any(|v| *v > least)
+}
+
+/// As [`exposures`], by the light of each scene under a fit of what all of them share. It weighs the pixels by their
+/// noise, and knows what noise makes of it.
+pub(crate) fn exposures_by_light(seen: &Observations, frames: &[Seen], light: &[Light]) -> Vec<Fault> {
+    if frames.len() != light.len() || light.len() < 4 || light.iter().any(|l| l.by <= -1.0) {
+        return Vec::new();
+    }
+    let logs = logs(light);
+    let parts: Vec<Parts> = light.iter().map(|l| Parts(l.parts.clone())).collect();
+    // Noise alone makes the median difference two thirds of a standard error, and of few frames up to all of it.
+    let by_noise = median(light.iter().map(|l| l.sigma).collect()).unwrap_or(0.0);
+    let scatter = (scatter(&logs).powi(2) - by_noise.powi(2)).max(0.0).sqrt();
+    // What the light of a scene does not explain of its excess: a scene that leaves much more than the others holds
+    // something else. Where scenes usually leave little, nothing is displaced, and none loses light at its border.
+    let left: Vec<f64> = light.iter().map(|l| l.excess - l.fall()).collect();
+    let usually_left = median(left.clone()).unwrap_or(0.0);
+    let noise = NOISE * (2.0 * seen.pixels.len() as f64).sqrt();
+    let mut faults = Vec::new();
+    for (i, s) in frames.iter().enumerate() {
+        let (by, factor) = (logs[i].abs(), logs[i].exp());
+        let z = by * (1.0 + light[i].by) / light[i].sigma;
+        let by_light_alone = left[i].max(usually_left) < 0.5 * light[i].fall();
+        let border = if by_light_alone { 0.0 } else { at_the_border(seen, s.frame) };
+        let is_large = z > NOISE && by > LIGHT.max(STANDS_OUT * scatter) + border;
+        let [even, error] = parts[i].factor(&parts);
+        let is_even = (even - 1.0).abs() > LIGHT.max(EVEN * error);
+        tracing::debug!(
+            "light of frame {}: {:+.4} +- {:.4}, {even:.4} +- {error:.4} in its parts, left {:.0}, border {border:.4}",
+            seen.frames[s.frame].info.frame,
+            logs[i],
+            light[i].sigma,
+            left[i]
+        );
+        if is_large && is_even && left[i] < usually_left + noise + light[i].fall() {
+            let r = correlation(&s.measured, &s.own);
+            faults.push(Fault {
+                frame: seen.frames[s.frame].info.frame,
+                kind: FaultKind::Exposure { factor },
+                z,
+                correlation_before: r,
+                correlation_after: r,
+            });
+        }
+    }
+    faults
+}
+
+/// Refines the factors of faults by the light of the scenes once they are corrected. Before, the pixels that saturate are
+/// taken from a prediction with the wrong light, so that those of a frame that is too bright count as they are cut off.
+pub(crate) fn refine(seen: &Observations, frames: &[Seen], light: &[Light], faults: &mut [Fault]) {
+    for (s, log) in frames.iter().zip(logs(light)) {
+        let frame = seen.frames[s.frame].info.frame;
+        for fault in faults.iter_mut().filter(|f| f.frame == frame) {
+            if let FaultKind::Exposure { factor } = &mut fault.kind {
+                *factor *= log.exp();
+            }
+        }
+    }
 }
 
 /// The light of the parts of a frame over that of its record, and how much each part says of it.
@@ -283,9 +201,10 @@ pub fn correct_exposures(seen: &mut Observations, faults: &[Fault]) {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
+    use ndarray::Array2;
     use ommatidia_session::{FrameInfo, Role};
 
     /// Sparse sources of a frame, as dense as `k` says, moved by some pixels.
@@ -301,7 +220,7 @@ mod tests {
     }
 
     /// Six scenes whose light is `factor` of each times what their records say.
-    fn scenes(moved_px: f64, factor: impl Fn(usize) -> f32) -> (Observations, Vec<Seen>) {
+    pub(in crate::fit) fn scenes(moved_px: f64, factor: impl Fn(usize) -> f32) -> (Observations, Vec<Seen>) {
         let seen = |k: usize| {
             let light = factor(k);
             Seen {
@@ -341,55 +260,48 @@ mod tests {
         exposures(&observations, &seen)
     }
 
-    #[test]
-    fn objects_that_were_scaled_one_by_one_are_scaled_back() {
-        let own = [1.0, 2.5, 0.6, 1.4, 0.8, 3.1];
-        let (mut observations, seen) = scenes(0.8, |k| own[k]);
-        let found = units(&mut observations, &seen);
-        let factors: Vec<f64> = found
-            .iter()
-            .map(|f| match f.kind {
-                FaultKind::Unit { factor } => factor,
-                _ => panic!("{f:?}"),
-            })
-            .collect();
-        assert_eq!(factors.len(), 6);
-        // Relative to the median, 1.4.
-        for (k, (factor, own)) in factors.iter().zip(own).enumerate() {
-            assert!((factor * 1.4 / f64::from(own) - 1.0).abs() < 0.05, "{factors:?}");
-            let Shown::Object(truth) = observations.frames[k].shown else { panic!("no object") };
-            assert!((f64::from(observations.truths[truth][[0, 0]]) - factor).abs() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn light_that_fades_and_one_wrong_exposure_are_no_units() {
-        let alternates = |k: usize| if k.is_multiple_of(2) { 1.3 } else { 1.0 };
-        let one = |k: usize| if k == 2 { 2.0 } else { 1.0 };
-        for factor in [|k: usize| 0.7f32.powi(k as i32), one, alternates, |_| 1.0] {
-            let (mut observations, seen) = scenes(0.0, factor);
-            assert!(units(&mut observations, &seen).is_empty());
-        }
-    }
-
-    /// Objects whose light lies at places of their own, under light that falls off over the field.
-    #[test]
-    fn light_that_falls_off_over_the_field_is_no_unit() {
-        let places = [[3, 4], [1, 6], [4, 3], [0, 0], [6, 5], [2, 2]];
-        let at = |i: usize| (2 * i + 1) as f64 / 8.0 - 1.0;
-        let light = |k: usize| {
-            let [y, x] = places[k].map(at);
-            (1.0 - 0.4 * (y * y + x * x)) as f32
+    /// The light of six dim scenes with a standard error of `sigma`, of which the third has `factor` times its own.
+    /// Each part scatters by its noise; the third has `more` of chi-squared that no light explains.
+    fn of_light(sigma: f64, factor: f64, more: f64) -> Vec<Light> {
+        let noise = [0.3, -0.9, 0.6, 1.1, -0.2, -1.4];
+        let of = |(k, noise): (usize, f64)| {
+            let own = if k == 2 { factor } else { 1.0 };
+            let by = own * (1.0 + noise * sigma) - 1.0;
+            let of_part = |i: usize| own * (1.0 + 3.0 * sigma * noise * (((i * 5 + k) % 9) as f64 - 4.0) / 3.0);
+            let parts = (0..PARTS * PARTS).map(|i| [of_part(i), 1.0 / (9.0 * sigma * sigma)]).collect();
+            let excess = (by / sigma).powi(2) + if k == 2 { more } else { 0.0 };
+            Light { by, sigma, excess, parts }
         };
-        let (mut observations, seen) = scenes(0.0, light);
-        for (truth, place) in observations.truths.iter_mut().zip(places) {
+        noise.into_iter().enumerate().map(of).collect()
+    }
+
+    #[test]
+    fn a_wrong_exposure_of_a_dim_scene_is_seen_in_its_light() {
+        let (observations, seen) = scenes(0.0, |_| 1.0);
+        let found = |light: &[Light]| exposures_by_light(&observations, &seen, light);
+        let faults = found(&of_light(0.025, 1.25, 0.0));
+        let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, z, .. }] = faults[..] else {
+            panic!("{faults:?}")
+        };
+        assert!((factor - 1.25).abs() < 0.04 && z > NOISE, "{factor} {z}");
+        // What the corrected scenes still show is a factor of its own.
+        let mut refined = faults.clone();
+        refine(&observations, &seen, &of_light(0.0, 1.02, 0.0), &mut refined);
+        let FaultKind::Exposure { factor: after } = refined[0].kind else { panic!("{refined:?}") };
+        assert!((after / factor - 1.02).abs() < 1e-9, "{after}");
+        // Of the size of the noise; small, however certain; and not the only thing that is wrong with the scene.
+        assert!(found(&of_light(0.025, 1.08, 0.0)).is_empty());
+        assert!(found(&of_light(0.0002, 1.03, 0.0)).is_empty());
+        assert!(found(&of_light(0.025, 1.25, 1e4)).is_empty());
+        // A third of its light lies at the border of its object. It is lost there only where something is displaced.
+        let mut at_the_border = observations.clone();
+        for truth in &mut at_the_border.truths {
             truth.fill(0.0);
-            truth[place] = 1.0;
+            truth[[4, 4]] = 1.0;
         }
-        assert!(units(&mut observations, &seen).is_empty());
-        // The same factors on objects that fill the field alike are units.
-        let (mut observations, seen) = scenes(0.0, light);
-        assert_eq!(units(&mut observations, &seen).len(), 6);
+        at_the_border.truths[2][[0, 3]] = 0.5;
+        let found = |more: f64| exposures_by_light(&at_the_border, &seen, &of_light(0.01, 1.25, more)).len();
+        assert_eq!([found(0.0), found(500.0)], [1, 0]);
     }
 
     #[test]

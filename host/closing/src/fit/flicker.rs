@@ -1,11 +1,11 @@
 //! Scenes whose brightness differs from one to the next: a lamp that flickers, or light that was not written down.
 //!
-//! Differences of a tenth and more are seen in the records alone ([`super::exposures::units`]). Smaller ones are judged
+//! Differences of a tenth and more are seen in the records alone ([`super::units::units`]). Smaller ones are judged
 //! by what they explain: no effect of an instrument changes the light of whole frames at random and nothing else.
 
-use super::exposures::{ALIKE, SCENES, is_explained, scaled, scatter};
 use super::record::{Seen, correlation, slope};
-use super::{Fitted, Model};
+use super::scene_light::{ALIKE, Light, beside_median, logs, scatter};
+use super::units::{SCENES, is_explained, scaled};
 use crate::data::{Fault, Observations, Shown};
 
 /// Relative differences that count, root mean square: the PSFs of a calibration err by less in the light of a frame.
@@ -17,23 +17,6 @@ const SIGNIFICANT: f64 = 5.0;
 /// Number of scenes from which it is said that they seem to flicker.
 const FEW: usize = 4;
 
-/// The light of a scene over that of its prediction.
-pub(crate) struct Light {
-    /// Relative difference.
-    by: f64,
-    /// Its standard error.
-    sigma: f64,
-    /// Chi-squared of the scene beyond its number of pixels.
-    excess: f64,
-}
-
-impl Light {
-    /// The fall of chi-squared with the difference.
-    fn fall(&self) -> f64 {
-        (self.by / self.sigma).powi(2)
-    }
-}
-
 /// Whether the light of scenes differs so that a fit is worth its time, by a regression of images.
 pub(crate) fn may_flicker(seen: &Observations, frames: &[Seen]) -> bool {
     let [slopes, alike] = [slope, correlation].map(|of| frames.iter().map(|s| of(&s.measured, &s.own)).collect());
@@ -43,26 +26,6 @@ pub(crate) fn may_flicker(seen: &Observations, frames: &[Seen]) -> bool {
     }
     let logs = beside_median(slopes.iter().map(|s| s.ln()).collect());
     scatter(&logs) > 0.5 * RMS && !is_explained(seen, frames, &logs)
-}
-
-/// The light of each of the scenes under a fit of what all of them share.
-pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
-    let black_dn = (model.forward.noise().black_level_dn + fit.state.black_dn) as f32;
-    let scenes = model.seen.frames.iter().zip(&fit.predicted).filter(|(f, _)| matches!(f.shown, Shown::Object(_)));
-    scenes
-        .map(|(_, here)| {
-            let pixels = here.dn.iter().zip(&here.residual_dn).zip(&here.inverse_sigma);
-            let [mut along, mut light, mut excess] = [0.0f64; 3];
-            for ((dn, residual), w) in pixels.filter(|(_, w)| **w > 0.0) {
-                let [own, left] = [(dn - black_dn) * w, residual * w].map(f64::from);
-                along += own * left;
-                light += own * own;
-                excess += left * left - 1.0;
-            }
-            let light = light.max(f64::MIN_POSITIVE);
-            Light { by: along / light, sigma: light.powf(-0.5), excess }
-        })
-        .collect()
 }
 
 /// Scales the objects of scenes by the light of each, where that explains most of what their prediction leaves and
@@ -104,16 +67,6 @@ pub(crate) fn few_note(light: &[Light]) -> Option<String> {
     ))
 }
 
-/// Logarithms of the light of scenes beside their median.
-fn logs(light: &[Light]) -> Vec<f64> {
-    beside_median(light.iter().map(|l| l.by.ln_1p()).collect())
-}
-
-fn beside_median(logs: Vec<f64>) -> Vec<f64> {
-    let usual = super::record::median(logs.clone()).unwrap_or(0.0);
-    logs.into_iter().map(|v| v - usual).collect()
-}
-
 /// Whether differences of light are large, certain, and most of the excess. A scene that stands alone is no flicker.
 fn explains(light: &[Light]) -> bool {
     let n = light.len() as f64;
@@ -132,7 +85,7 @@ mod tests {
     #[test]
     fn scenes_that_flicker_are_found_and_one_that_stands_alone_or_a_blur_is_not() {
         let is_found = |factors: [f64; 6], other: f64| {
-            let light = factors.map(|by| Light { by, sigma: 1e-3, excess: by * by * 1e6 + other });
+            let light = factors.map(|by| Light { by, sigma: 1e-3, excess: by * by * 1e6 + other, parts: Vec::new() });
             explains(&light)
         };
         let flicker = [0.05, -0.04, 0.03, -0.06, 0.02, -0.01];
@@ -145,7 +98,8 @@ mod tests {
     #[test]
     fn few_scenes_that_seem_to_flicker_have_a_note() {
         let light = |factors: &[f64]| -> Vec<Light> {
-            factors.iter().map(|by| Light { by: *by, sigma: 1e-3, excess: by * by * 1e6 + 100.0 }).collect()
+            let of = |by: &f64| Light { by: *by, sigma: 1e-3, excess: by * by * 1e6 + 100.0, parts: Vec::new() };
+            factors.iter().map(of).collect()
         };
         let note = few_note(&light(&[0.05, -0.04, 0.03, -0.04])).unwrap_or_default();
         assert!(note.starts_with("the 4 scenes differ in brightness, 0.932 to 1.019"), "{note}");

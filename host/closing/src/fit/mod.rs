@@ -7,7 +7,7 @@
 //! repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration`
 //! names the values, and `prior` adds what is known of nuisances beside the frames. [`lamp`] is the light of the
 //! flats. Before the first fit [`record`] checks the session's objects, `orientation` whether frames are turned,
-//! [`exposures`] and `flicker` their light, and [`pedestal`] how dark they are where they are dark. [`mod@replicas`]
+//! [`exposures`], `units` and `flicker` their light (`scene_light`), and [`pedestal`] how dark they are where they are dark. [`mod@replicas`]
 //! gives the uncertainty of the calibration as [`errors`], with `wings` outside its windows. [`specimen`] estimates
 //! specimens that nobody knows, and [`projection`] takes out of frames what they can make.
 
@@ -34,10 +34,12 @@ pub(crate) mod repeats;
 pub mod replicas;
 mod rhythm;
 mod same;
+pub(crate) mod scene_light;
 pub mod solve;
 pub mod specimen;
 pub mod state;
 pub mod truth;
+pub(crate) mod units;
 pub(crate) mod wings;
 
 pub use cell::Cell;

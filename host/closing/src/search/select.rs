@@ -3,9 +3,9 @@
 
 use super::candidate::{AMBIGUOUS, Alternative, Candidate, Found, Shadowed};
 use super::confirm::{Added, FullFits, Verdict, with};
-use super::finalists::{by_sharpness, explains_most, finalists};
+use super::finalists::{alike, by_sharpness, explains_most, finalists};
 use super::scoring::{log, score, tabled};
-use super::trials::{NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
+use super::trials::{GRADIENT, NEEDS_CALIBRATION, Tried, evidence, is_laplacian};
 use crate::data::{Frame, Shown};
 use crate::evidence::{Scores, Test, holm};
 use crate::fit::repeats::wings;
@@ -153,11 +153,17 @@ impl<'m, 'a> Search<'m, 'a> {
         let mut fits = Vec::new();
         loop {
             let feigned = self.feigned();
-            let open = |c: &Candidate| {
+            let may_be = |c: &Candidate| {
                 let beyond_feigned = c.table.is_some() || c.term.effect.is_of_the_grid() || c.gain() > feigned;
                 let new = !refused.ids.contains(&c.term.id()) && c.worth() > 0.0;
                 new && c.is_large_enough(pixels) && beyond_feigned
             };
+            // It competes with names that resemble it, and is nothing by itself.
+            let competes = |c: &Candidate| {
+                let mut others = candidates.iter().zip(&significant).filter(|(o, s)| **s && may_be(o));
+                tried != Tried::Catalogue || c.term.id() != GRADIENT || others.any(|(o, _)| alike(&c.term, &o.term))
+            };
+            let open = |c: &Candidate| may_be(c) && competes(c);
             let able = candidates.iter().zip(&significant).filter(|(c, s)| **s && open(c)).map(|(c, _)| c);
             // The score of an effect in the shadow shows that already; its full fit would only take time.
             let floor = SHADOW * self.cast_by(self.strongest_fall, self.now.training);

@@ -52,6 +52,7 @@ fn catalogue(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<T
         terms.extend(starts.into_iter().map(|params| Term { effect, params, table: None, table_error: 0.0 }));
     }
     terms.extend(blurred_truths(model, state));
+    terms.extend(gradient(model, state));
     terms
 }
 
@@ -69,6 +70,21 @@ fn blurred_truths(model: &Model<'_>, state: &State) -> Option<Term> {
     let params = vec![0.0, LAPLACIAN, 0.0];
     Some(Term { effect: find("unknown_operator")?, params, table: None, table_error: 0.0 })
 }
+
+/// A factor on the light that changes slowly over the sensor, from no cause that the catalogue has. Gains of the lenses
+/// follow it in steps, with more values. It stands beside the effects of the catalogue, so that one that follows it is
+/// named only if it explains more.
+fn gradient(model: &Model<'_>, state: &State) -> Option<Term> {
+    let effect = find(GRADIENT)?;
+    if model.is_blind() || state.terms.iter().any(|t| t.id() == GRADIENT) {
+        return None;
+    }
+    let params = effect.descriptor().params.iter().map(|p| p.off).collect();
+    Some(Term { effect, params, table: None, table_error: 0.0 })
+}
+
+/// Id of that factor.
+pub(super) const GRADIENT: &str = "unknown_gradient";
 
 /// Whether images are displaced as misplaced truths displace them, or the session states that its truths may be.
 fn displaced(model: &Model<'_>, state: &State) -> bool {
@@ -179,6 +195,7 @@ fn unknowns(model: &Model<'_>, state: &State, evidence: &Evidence<'_>) -> Vec<Te
             Term { effect, params, table: None, table_error: 0.0 }
         }));
     }
+    terms.extend(gradient(model, state));
     let lenses = model.lenses();
     let chosen = |t: &Term| -> Vec<f64> {
         let all = t.expanded(lenses).into_iter().zip(&t.params);

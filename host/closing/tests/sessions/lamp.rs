@@ -1,4 +1,4 @@
-//! Sessions whose lamp is uneven, or flickers.
+//! Sessions whose lamp is uneven or flickers, whose response is uneven, or whose light one record has wrong.
 
 use super::{closed, measured, names, subject};
 use ommatidia_closing::study::sessions::Holds;
@@ -48,6 +48,51 @@ fn an_uneven_lamp_is_no_vignetting_and_hides_no_effect() {
     assert_eq!(names(&shaded), ["vignetting"]);
     let v = &shaded.effects[0].params[0];
     assert!((v.value - 0.05).abs() < 5.0 * v.sigma, "{v:?}");
+}
+
+/// Response that rises by a share of 6 % from the first to the last column, in scenes and flats.
+fn tilt_response(session: &Path) {
+    let black = subject().instrument.noise.black_level_dn as f32;
+    for file in ["scene.npy", "flat.npy"].map(|name| session.join(name)) {
+        let mut frames = stack::read(&file).unwrap();
+        let columns = frames.dim().2 as f32;
+        for ((_, _, c), v) in frames.indexed_iter_mut() {
+            *v = black + (1.0 + 0.06 * (c as f32 / (columns - 1.0) - 0.5)) * (*v - black);
+        }
+        stack::write(&file, frames.view()).unwrap();
+    }
+}
+
+/// Gains of the lenses follow such a response in steps, with more values. A gain of one lens is no gradient.
+#[test]
+fn a_response_that_rises_over_the_sensor_is_no_gain_of_lenses() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("tilted");
+    measured(Holds::Whole, &[], &dir, 64);
+    tilt_response(&dir);
+    let closing = closed(&Session::open(&dir).unwrap());
+    assert!(closing.effects.iter().all(|e| !e.known), "{:?}", names(&closing));
+    let [gradient] = closing.effects.as_slice() else { panic!("{:?}", names(&closing)) };
+    let by_col = gradient.params.iter().find(|p| p.name == "by_col").unwrap();
+    assert!((by_col.value - 0.03).abs() < 5.0 * by_col.sigma && by_col.sigma < 0.003, "{by_col:?}");
+    let gain = EffectSetting::new("lens_gain", &[("change_2", 0.03)]);
+    measured(Holds::Whole, &[gain], &folder.path().join("gain"), 64);
+    assert_eq!(names(&closed(&Session::open(&folder.path().join("gain")).unwrap())), ["lens_gain"]);
+}
+
+/// Errors of the calibration could leave as much in all frames together: they do not change the light of one frame.
+#[test]
+fn an_exposure_that_is_a_tenth_too_long_is_found() {
+    let folder = tempfile::tempdir().unwrap();
+    for frame in [2.0, 5.0] {
+        let dir = folder.path().join(format!("{frame}"));
+        let wrong = EffectSetting::new("metadata_fault", &[("exposure_factor", 1.1), ("frame", frame)]);
+        measured(Holds::Whole, &[wrong], &dir, 65);
+        let closing = closed(&Session::open(&dir).unwrap());
+        let [fault] = closing.faults.as_slice() else { panic!("{:?}", closing.faults) };
+        let FaultKind::Exposure { factor } = fault.kind else { panic!("{fault:?}") };
+        assert!(fault.frame == frame as usize && (factor - 1.1).abs() < 0.01, "{fault:?}");
+    }
 }
 
 /// Changes the light of each scene of a session by a factor of its own, 0.95 to 1.05.

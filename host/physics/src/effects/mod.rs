@@ -97,6 +97,7 @@ mod tilt;
 mod truth_blur;
 mod unknown_blur;
 mod unknown_dark;
+mod unknown_gradient;
 mod unknown_light;
 mod unknown_offset;
 mod unknown_operator;

@@ -58,6 +58,7 @@ use super::tilt::Tilt;
 use super::truth_blur::TruthBlur;
 use super::unknown_blur::UnknownBlur;
 use super::unknown_dark::UnknownDark;
+use super::unknown_gradient::UnknownGradient;
 use super::unknown_light::UnknownLight;
 use super::unknown_offset::UnknownOffset;
 use super::unknown_operator::UnknownOperator;
@@ -135,6 +136,7 @@ static REGISTRY: &[&dyn Effect] = &[
     &UnknownProfile,
     &UnknownPattern,
     &UnknownDark,
+    &UnknownGradient,
     &UnknownShading,
     &UnknownLight,
     &UnknownStray,

@@ -263,6 +263,24 @@ fn maps_of_scenes_leave_flats_as_they_are() {
 }
 
 #[test]
+fn a_gradient_follows_a_parabola_of_the_place() {
+    let previous = image();
+    let cx = context(&previous);
+    let even = Array2::from_elem((3, 5), 100.0f32);
+    let planes = lit("unknown_gradient", &[("by_row", 0.1), ("by_col", -0.2)], &even, &cx);
+    // Rows -1, 0, 1, columns -1, -0.5, 0, 0.5, 1.
+    let worked = Array2::from_shape_fn((3, 5), |(r, c)| 100.0 + 10.0 * (r as f32 - 1.0) - 10.0 * (c as f32 - 2.0));
+    assert!((planes - worked).iter().all(|v| v.abs() < 1e-4));
+    let saddle = [("by_row_squared", -0.3), ("by_col_squared", 0.3), ("by_row_and_col", 0.4)];
+    let bent = lit("unknown_gradient", &saddle, &even, &cx);
+    let at = |r: usize, c: usize| bent[[r, c]];
+    assert!((at(1, 2) - 100.0).abs() < 1e-4 && (at(0, 2) - 70.0).abs() < 1e-4 && (at(1, 4) - 130.0).abs() < 1e-4);
+    assert!((at(0, 0) - 140.0).abs() < 1e-4 && (at(0, 4) - 60.0).abs() < 1e-4);
+    // Light is never negative.
+    assert_eq!(lit("unknown_gradient", &[("by_row", 2.0)], &even, &cx)[[0, 0]], 0.0);
+}
+
+#[test]
 fn worked_examples_of_a_smear_a_gamma_and_a_blur() {
     let previous = image();
     let cx = context(&previous);

@@ -1,0 +1,150 @@
+//! The light of each scene relative to its prediction: by a regression of images before anything is fitted, or under a
+//! fit of what all scenes share.
+
+use super::record::{SMOOTH_PX, Seen, correlation, median, slope};
+use super::{Fitted, Model};
+use crate::data::Shown;
+use ommatidia_physics::effects::blur_within;
+use rayon::prelude::*;
+
+/// A scene that correlates with its prediction by less has no light relative to it.
+pub(super) const ALIKE: f64 = 0.8;
+/// Number of parts of a frame along each side.
+pub(super) const PARTS: usize = 3;
+
+/// The light of a scene over that of its prediction.
+pub(crate) struct Light {
+    /// Relative difference.
+    pub(super) by: f64,
+    /// Its standard error by the noise of the pixels.
+    pub(super) sigma: f64,
+    /// Chi-squared of the scene beyond its number of pixels.
+    pub(super) excess: f64,
+    /// The light of its parts over that of their prediction, and how much each part says of it: one over its variance.
+    /// They are parts of the sensor in row order, [`PARTS`] x [`PARTS`].
+    pub(super) parts: Vec<[f64; 2]>,
+}
+
+impl Light {
+    /// The fall of chi-squared with the difference.
+    pub(super) fn fall(&self) -> f64 {
+        (self.by / self.sigma).powi(2)
+    }
+}
+
+/// The light of each of the scenes with known objects under a fit. The regression of a scene's residual on its predicted
+/// light has an intercept: the black level that all of them share errs where the light of one is wrong.
+pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
+    let black_dn = (model.forward.noise().black_level_dn + fit.state.black_dn) as f32;
+    let scenes = model.seen.frames.iter().zip(&fit.predicted).filter(|(f, _)| matches!(f.shown, Shown::Object(_)));
+    scenes
+        .map(|(_, here)| {
+            let (rows, cols) = here.dn.dim();
+            let mut parts = [Sums::default(); PARTS * PARTS];
+            let mut excess = 0.0;
+            let pixels = here.dn.indexed_iter().zip(&here.residual_dn).zip(&here.inverse_sigma);
+            for ((((r, c), dn), residual), w) in pixels.filter(|(_, w)| **w > 0.0) {
+                let [light, left, w] = [dn - black_dn, *residual, *w].map(f64::from);
+                parts[r * PARTS / rows * PARTS + c * PARTS / cols].add(light, left, w * w);
+                excess += (left * w).powi(2) - 1.0;
+            }
+            let all = parts.iter().fold(Sums::default(), |sum, p| sum.with(p));
+            let means = [all.light / all.weight.max(f64::MIN_POSITIVE), all.left / all.weight.max(f64::MIN_POSITIVE)];
+            let [by, information] = all.slope(means);
+            let of_part = |p: Sums| {
+                let [by, information] = p.slope(means);
+                [1.0 + by, information]
+            };
+            Light { by, sigma: information.powf(-0.5), excess, parts: parts.map(of_part).to_vec() }
+        })
+        .collect()
+}
+
+/// Weighted sums over the pixels of a part of a scene, for a regression of what is left on the light.
+#[derive(Clone, Copy, Default)]
+struct Sums {
+    weight: f64,
+    light: f64,
+    left: f64,
+    squares: f64,
+    products: f64,
+}
+
+impl Sums {
+    fn add(&mut self, light: f64, left: f64, weight: f64) {
+        *self = self.with(&Self {
+            weight,
+            light: weight * light,
+            left: weight * left,
+            squares: weight * light * light,
+            products: weight * light * left,
+        });
+    }
+
+    fn with(&self, other: &Self) -> Self {
+        Self {
+            weight: self.weight + other.weight,
+            light: self.light + other.light,
+            left: self.left + other.left,
+            squares: self.squares + other.squares,
+            products: self.products + other.products,
+        }
+    }
+
+    /// The slope beside means of light and left, and one over its variance.
+    fn slope(&self, [light, left]: [f64; 2]) -> [f64; 2] {
+        let products = self.products - light * self.left - left * self.light + light * left * self.weight;
+        let squares = self.squares - 2.0 * light * self.light + light * light * self.weight;
+        let squares = squares.max(f64::MIN_POSITIVE);
+        [products / squares, squares]
+    }
+}
+
+/// Logarithms of the light of scenes relative to their median.
+pub(super) fn logs(light: &[Light]) -> Vec<f64> {
+    beside_median(light.iter().map(|l| l.by.ln_1p()).collect())
+}
+
+/// Differences of some values from their median.
+pub(super) fn beside_median(values: Vec<f64>) -> Vec<f64> {
+    let usual = median(values.clone()).unwrap_or(0.0);
+    values.into_iter().map(|v| v - usual).collect()
+}
+
+/// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept,
+/// so that an even background is no light of the specimen.
+pub(super) fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
+    let of = |s: &Seen| {
+        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
+        [slope(&y, &m), correlation(&y, &m)]
+    };
+    frames.par_iter().map(of).collect()
+}
+
+/// Median of the sizes of some values.
+pub(super) fn scatter(values: &[f64]) -> f64 {
+    median(values.iter().map(|v| v.abs()).collect()).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slope_does_not_see_an_error_of_the_black_level() {
+        let mut parts = [Sums::default(); 2];
+        for i in 0..20 {
+            let light = f64::from(i % 7) * 10.0;
+            // A quarter more light, and 3 DN of black level.
+            parts[i as usize % 2].add(light, 0.25 * light + 3.0, 1.0 + f64::from(i % 3));
+        }
+        let all = parts[0].with(&parts[1]);
+        let means = [all.light / all.weight, all.left / all.weight];
+        for sums in [all, parts[0], parts[1]] {
+            let [by, information] = sums.slope(means);
+            assert!((by - 0.25).abs() < 1e-12 && information > 0.0, "{by}");
+        }
+        // Without light nothing is known.
+        assert_eq!(Sums::default().slope([0.0, 0.0])[0], 0.0);
+    }
+}
