@@ -88,6 +88,9 @@ pub(crate) fn exposures_by_light(seen: &Observations, frames: &[Seen], light: &[
         return Vec::new();
     }
     let logs = logs(light);
+    // Sources that are out of place seem darker in a fit, and not in images that are blurred.
+    let slopes: Vec<f64> = slopes(frames).into_iter().map(|s| s[0]).collect();
+    let usual = median(slopes.clone()).unwrap_or(1.0);
     let parts: Vec<Parts> = light.iter().map(|l| Parts(l.parts.clone())).collect();
     // Noise alone makes the median difference two thirds of a standard error, and of few frames up to all of it.
     let by_noise = median(light.iter().map(|l| l.sigma).collect()).unwrap_or(0.0);
@@ -106,6 +109,7 @@ pub(crate) fn exposures_by_light(seen: &Observations, frames: &[Seen], light: &[
         let is_large = z > NOISE && by > LIGHT.max(STANDS_OUT * scatter) + border;
         let [even, error] = parts[i].factor(&parts);
         let is_even = (even - 1.0).abs() > LIGHT.max(EVEN * error);
+        let is_in_place = (slopes[i] / usual - 1.0) / (factor - 1.0) > 0.5;
         tracing::debug!(
             "light of frame {}: {:+.4} +- {:.4}, {even:.4} +- {error:.4} in its parts, left {:.0}, border {border:.4}",
             seen.frames[s.frame].info.frame,
@@ -113,7 +117,7 @@ pub(crate) fn exposures_by_light(seen: &Observations, frames: &[Seen], light: &[
             light[i].sigma,
             left[i]
         );
-        if is_large && is_even && left[i] < usually_left + noise + light[i].fall() {
+        if is_large && is_even && is_in_place && left[i] < usually_left + noise + light[i].fall() {
             let r = correlation(&s.measured, &s.own);
             faults.push(Fault {
                 frame: seen.frames[s.frame].info.frame,
@@ -277,7 +281,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_wrong_exposure_of_a_dim_scene_is_seen_in_its_light() {
-        let (observations, seen) = scenes(0.0, |_| 1.0);
+        let (observations, seen) = scenes(0.0, |k| if k == 2 { 1.25 } else { 1.0 });
         let found = |light: &[Light]| exposures_by_light(&observations, &seen, light);
         let faults = found(&of_light(0.025, 1.25, 0.0));
         let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, z, .. }] = faults[..] else {
@@ -293,6 +297,9 @@ pub(super) mod tests {
         assert!(found(&of_light(0.025, 1.08, 0.0)).is_empty());
         assert!(found(&of_light(0.0002, 1.03, 0.0)).is_empty());
         assert!(found(&of_light(0.025, 1.25, 1e4)).is_empty());
+        // Blurred images do not show it.
+        let (_, even) = scenes(0.8, |_| 1.0);
+        assert!(exposures_by_light(&observations, &even, &of_light(0.025, 1.25, 0.0)).is_empty());
         // A third of its light lies at the border of its object. It is lost there only where something is displaced.
         let mut at_the_border = observations.clone();
         for truth in &mut at_the_border.truths {
