@@ -127,10 +127,10 @@ fn beside_exposures(
     exposures::correct_exposures(seen, &wrong);
     faults.extend(wrong);
     let given = Given { exclude: options.exclude, faults: &faults };
-    if let Outcome::Ended(second) = attempt(instrument, seen, options, given, &mut progress)? {
-        if second.closed.account.closing.after.chi2_ndf <= first.closed.account.closing.after.chi2_ndf {
-            return Ok(second.closed);
-        }
+    let left = |it: &Attempt| it.closed.account.closing.after.chi2_ndf;
+    match attempt(instrument, seen, options, given, &mut progress)? {
+        Outcome::Ended(second) if left(&second) <= left(&first) => return Ok(second.closed),
+        _ => {}
     }
     seen.frames.iter_mut().zip(recorded).for_each(|(f, exposure_ms)| f.info.exposure_ms = exposure_ms);
     Ok(first.closed)
