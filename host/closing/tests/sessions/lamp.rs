@@ -76,8 +76,9 @@ fn a_response_that_rises_over_the_sensor_is_no_gain_of_lenses() {
     let by_col = gradient.params.iter().find(|p| p.name == "by_col").unwrap();
     assert!((by_col.value - 0.03).abs() < 5.0 * by_col.sigma && by_col.sigma < 0.003, "{by_col:?}");
     let gain = EffectSetting::new("lens_gain", &[("change_2", 0.03)]);
-    measured(Holds::Whole, &[gain], &folder.path().join("gain"), 64);
-    assert_eq!(names(&closed(&Session::open(&folder.path().join("gain")).unwrap())), ["lens_gain"]);
+    let dir = folder.path().join("gain");
+    measured(Holds::Whole, &[gain], &dir, 64);
+    assert_eq!(names(&closed(&Session::open(&dir).unwrap())), ["lens_gain"]);
 }
 
 /// Errors of the calibration could leave as much in all frames together: they do not change the light of one frame.
