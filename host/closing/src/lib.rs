@@ -57,6 +57,7 @@
 //! ```
 
 pub mod account;
+mod again;
 mod attempt;
 mod close;
 pub mod data;
@@ -66,6 +67,7 @@ pub mod fit;
 mod layout;
 mod options;
 pub mod plan;
+mod records;
 pub mod search;
 mod sensor;
 pub mod study;

@@ -1,24 +1,19 @@
 //! Single exposures that contradict the records.
 //!
-//! An exposure is doubted before the first fit and decided after the search: an effect that the model lacks can make
-//! single frames darker or brighter too.
+//! An exposure is doubted before the search and decided after it: an effect that the model lacks can make single frames
+//! darker or brighter too. It is judged by the light of each scene under a fit of what all scenes share, which weighs
+//! the pixels by their noise and knows what noise makes of it.
 
-use super::record::{SMOOTH_PX, Seen, correlation, median, slope};
-use super::scene_light::{ALIKE, Light, PARTS, logs, scatter, slopes};
+use super::record::{Seen, correlation, median};
+use super::scene_light::{Light, logs, scatter};
 use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
 use ndarray::ArrayView1;
-use ommatidia_physics::effects::blur_within;
-use rayon::prelude::*;
 
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
-/// A wrong exposure changes the light of a frame and not its form: the frame leaves at most so many times the variance
-/// that the scenes usually leave, and this much of its own. What misses a source at its edge leaves more.
-const AS_USUAL: f64 = 4.0;
-const SLACK: f64 = 0.01;
-/// It changes all parts of a frame alike: their mean factor, of [`PARTS`] x [`PARTS`] parts, differs from 1 by more
-/// than [`LIGHT`] as well, and by so many times its standard error by their scatter. Light that falls into a frame from
+/// A wrong exposure changes all parts of a frame alike: their mean factor differs from 1 by more than [`LIGHT`] as well,
+/// and by so many times its standard error by their scatter. Light that falls into a frame from
 /// elsewhere is not even.
 const EVEN: f64 = 4.0;
 /// Noise alone changes the light of a frame by less than so many standard deviations.
@@ -29,69 +24,26 @@ const STANDS_OUT: f64 = 12.0;
 /// scatter on.
 const MAY_STAND_OUT: f64 = 3.0;
 
-/// Finds scenes whose light differs from that of the others by a factor of their own. An effect that the model lacks
-/// may do that as well, so nothing is corrected yet.
-pub fn exposures(seen: &Observations, frames: &[Seen]) -> Vec<Fault> {
-    let mut faults = Vec::new();
-    let (slopes, alike): (Vec<f64>, Vec<f64>) = slopes(frames).into_iter().map(|[slope, r]| (slope, r)).unzip();
-    if slopes.len() < 4 {
-        return faults;
-    }
-    let usual = median(slopes.clone()).unwrap_or(1.0);
-    let scatter = median(slopes.iter().map(|v| (v / usual - 1.0).abs()).collect()).unwrap_or(0.0);
-    let usually_left = median(alike.iter().map(|r| 1.0 - r).collect()).unwrap_or(0.0);
-    // What does not look like its object has no light relative to it.
-    let looks_like_it = |r: f64| r > ALIKE && 1.0 - r < AS_USUAL * usually_left + SLACK;
-    let unlike = |factor: f64| (factor - 1.0).abs();
-    // One frame against all others: a drift of the lamp changes all of them.
-    let stands_out = |i: usize, factor: f64| {
-        looks_like_it(alike[i])
-            && unlike(factor) > LIGHT.max(STANDS_OUT * scatter) + at_the_border(seen, frames[i].frame)
-    };
-    let factors: Vec<f64> = slopes.iter().map(|slope| slope / usual).collect();
-    if !factors.iter().enumerate().any(|(i, factor)| stands_out(i, *factor)) {
-        return faults;
-    }
-    let parts: Vec<Parts> = frames.par_iter().map(Parts::of).collect();
-    for (i, (s, factor)) in frames.iter().zip(factors).enumerate() {
-        let [even, error] = parts[i].factor(&parts);
-        if stands_out(i, factor) && unlike(even) > LIGHT.max(EVEN * error) {
-            let r = correlation(&s.measured, &s.own);
-            let kind = FaultKind::Exposure { factor };
-            faults.push(Fault {
-                frame: seen.frames[s.frame].info.frame,
-                kind,
-                z: (factor - 1.0).abs() / scatter.max(1e-4),
-                correlation_before: r,
-                correlation_after: r,
-            });
-        }
-    }
-    faults
-}
-
 /// Whether a scene's light may differ from that of the others by a factor of its own, so that it is worth a fit to find
-/// out: [`exposures`] does not see it in dim scenes, whose noise scatters its regression.
-pub(crate) fn may_be_wrong(frames: &[Seen]) -> bool {
-    let slopes: Vec<f64> = slopes(frames).into_iter().map(|s| s[0]).collect();
-    let usual = median(slopes.clone()).unwrap_or(0.0);
+/// out. `slopes` are those of a regression of images.
+pub(crate) fn may_be_wrong(slopes: &[f64]) -> bool {
+    let usual = median(slopes.to_vec()).unwrap_or(0.0);
     let by: Vec<f64> = slopes.iter().map(|v| (v / usual - 1.0).abs()).collect();
     let least = LIGHT.max(MAY_STAND_OUT * scatter(&by));
     tracing::debug!("light of frames by regression, beside their median: {by:.3?}");
     by.len() >= 4 && usual > 0.0 && by.iter().any(|v| *v > least)
 }
 
-/// As [`exposures`], by the light of each scene under a fit of what all of them share. It weighs the pixels by their
-/// noise, and knows what noise makes of it.
-pub(crate) fn exposures_by_light(seen: &Observations, frames: &[Seen], light: &[Light]) -> Vec<Fault> {
+/// Finds scenes whose light differs from that of the others by a factor of their own, under a fit and in a regression of
+/// images. An effect that the model lacks may do that as well, so nothing is corrected yet. `frames`, `slopes` and
+/// `light` are of the same scenes.
+pub(crate) fn exposures(seen: &Observations, frames: &[Seen], slopes: &[f64], light: &[Light]) -> Vec<Fault> {
     if frames.len() != light.len() || light.len() < 4 || light.iter().any(|l| l.by <= -1.0) {
         return Vec::new();
     }
     let logs = logs(light);
-    // Sources that are out of place seem darker in a fit, and not in images that are blurred.
-    let slopes: Vec<f64> = slopes(frames).into_iter().map(|s| s[0]).collect();
-    let usual = median(slopes.clone()).unwrap_or(1.0);
-    let parts: Vec<Parts> = light.iter().map(|l| Parts(l.parts.clone())).collect();
+    let usual = median(slopes.to_vec()).unwrap_or(1.0);
+    let parts: Vec<Parts> = light.iter().map(|l| Parts(&l.parts)).collect();
     // Noise alone makes the median difference two thirds of a standard error, and of few frames up to all of it.
     let by_noise = median(light.iter().map(|l| l.sigma).collect()).unwrap_or(0.0);
     let scatter = (scatter(&logs).powi(2) - by_noise.powi(2)).max(0.0).sqrt();
@@ -109,23 +61,19 @@ pub(crate) fn exposures_by_light(seen: &Observations, frames: &[Seen], light: &[
         let is_large = z > NOISE && by > LIGHT.max(STANDS_OUT * scatter) + border;
         let [even, error] = parts[i].factor(&parts);
         let is_even = (even - 1.0).abs() > LIGHT.max(EVEN * error);
+        // Sources that are out of place seem darker in a fit, and not in images that are blurred.
         let is_in_place = (slopes[i] / usual - 1.0) / (factor - 1.0) > 0.5;
+        let frame = seen.frames[s.frame].info.frame;
         tracing::debug!(
-            "light of frame {}: {:+.4} +- {:.4}, {even:.4} +- {error:.4} in its parts, left {:.0}, border {border:.4}",
-            seen.frames[s.frame].info.frame,
+            "light of frame {frame}: {:+.4} +- {:.4}, {even:.4} +- {error:.4} in its parts, left {:.0}, border {border:.4}",
             logs[i],
             light[i].sigma,
             left[i]
         );
         if is_large && is_even && is_in_place && left[i] < usually_left + noise + light[i].fall() {
             let r = correlation(&s.measured, &s.own);
-            faults.push(Fault {
-                frame: seen.frames[s.frame].info.frame,
-                kind: FaultKind::Exposure { factor },
-                z,
-                correlation_before: r,
-                correlation_after: r,
-            });
+            let kind = FaultKind::Exposure { factor };
+            faults.push(Fault { frame, kind, z, correlation_before: r, correlation_after: r });
         }
     }
     faults
@@ -144,23 +92,10 @@ pub(crate) fn refine(seen: &Observations, frames: &[Seen], light: &[Light], faul
     }
 }
 
-/// The light of the parts of a frame over that of its record, and how much each part says of it.
-struct Parts(Vec<[f64; 2]>);
+/// The light of the parts of a frame over that of their prediction, and how much each part says of it.
+struct Parts<'a>(&'a [[f64; 2]]);
 
-impl Parts {
-    fn of(s: &Seen) -> Self {
-        let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
-        let (rows, cols) = m.dim();
-        let part = |i: usize, n: usize| i * n / PARTS..(i + 1) * n / PARTS;
-        let of = |k: usize| {
-            let at = ndarray::s![part(k / PARTS, rows), part(k % PARTS, cols)];
-            let (y, m) = (y.slice(at).to_owned(), m.slice(at).to_owned());
-            let weight = m.len() as f64 * f64::from(m.var(0.0));
-            [if weight > 0.0 { slope(&y, &m) } else { 1.0 }, weight]
-        };
-        Self((0..PARTS * PARTS).map(of).collect())
-    }
-
+impl Parts<'_> {
     /// The light of the frame relative to that of all frames, as the parts say, and its standard error from their
     /// scatter. That is 0 where the light is in one part.
     fn factor(&self, all: &[Self]) -> [f64; 2] {
@@ -207,6 +142,7 @@ pub fn correct_exposures(seen: &mut Observations, faults: &[Fault]) {
 #[cfg(test)]
 pub(super) mod tests {
     #![allow(clippy::unwrap_used)]
+    use super::super::scene_light::{self, PARTS};
     use super::*;
     use ndarray::Array2;
     use ommatidia_session::{FrameInfo, Role};
@@ -259,9 +195,15 @@ pub(super) mod tests {
         (observations, (0..6).map(seen).collect())
     }
 
-    fn faults(moved_px: f64, factor: f32) -> Vec<Fault> {
-        let (observations, seen) = scenes(moved_px, |k| if k == 2 { factor } else { 1.0 });
-        exposures(&observations, &seen)
+    /// Faults of scenes with noise of 1 DN a pixel, by the light of each beside its own record.
+    fn faults(observations: &Observations, seen: &[Seen]) -> Vec<Fault> {
+        let light = |s: &Seen| Light::of(&s.own, &(&s.measured - &s.own), &Array2::ones(s.own.dim()));
+        let light: Vec<Light> = seen.iter().map(light).collect();
+        exposures(observations, seen, &slopes(seen), &light)
+    }
+
+    fn slopes(seen: &[Seen]) -> Vec<f64> {
+        scene_light::slopes(seen).into_iter().map(|[slope, _]| slope).collect()
     }
 
     /// The light of six dim scenes with a standard error of `sigma`, of which the third has `factor` times its own.
@@ -282,7 +224,7 @@ pub(super) mod tests {
     #[test]
     fn a_wrong_exposure_of_a_dim_scene_is_seen_in_its_light() {
         let (observations, seen) = scenes(0.0, |k| if k == 2 { 1.25 } else { 1.0 });
-        let found = |light: &[Light]| exposures_by_light(&observations, &seen, light);
+        let found = |light: &[Light]| exposures(&observations, &seen, &slopes(&seen), light);
         let faults = found(&of_light(0.025, 1.25, 0.0));
         let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, z, .. }] = faults[..] else {
             panic!("{faults:?}")
@@ -299,7 +241,7 @@ pub(super) mod tests {
         assert!(found(&of_light(0.025, 1.25, 1e4)).is_empty());
         // Blurred images do not show it.
         let (_, even) = scenes(0.8, |_| 1.0);
-        assert!(exposures_by_light(&observations, &even, &of_light(0.025, 1.25, 0.0)).is_empty());
+        assert!(exposures(&observations, &even, &slopes(&even), &of_light(0.025, 1.25, 0.0)).is_empty());
         // A third of its light lies at the border of its object. It is lost there only where something is displaced.
         let mut at_the_border = observations.clone();
         for truth in &mut at_the_border.truths {
@@ -307,7 +249,8 @@ pub(super) mod tests {
             truth[[4, 4]] = 1.0;
         }
         at_the_border.truths[2][[0, 3]] = 0.5;
-        let found = |more: f64| exposures_by_light(&at_the_border, &seen, &of_light(0.01, 1.25, more)).len();
+        assert!((super::at_the_border(&at_the_border, 2) - 1.0 / 3.0).abs() < 1e-9);
+        let found = |more: f64| exposures(&at_the_border, &seen, &slopes(&seen), &of_light(0.01, 1.25, more)).len();
         assert_eq!([found(0.0), found(500.0)], [1, 0]);
     }
 
@@ -316,9 +259,9 @@ pub(super) mod tests {
         let (observations, mut seen) = scenes(0.0, |_| 1.0);
         // Of the frame of 21 sources the object misses those of one side.
         seen[2].own.slice_mut(ndarray::s![.., ..40]).fill(0.0);
-        let [slope, r] = slopes(&seen)[2];
+        let [slope, r] = scene_light::slopes(&seen)[2];
         assert!((slope - 1.0).abs() > LIGHT && r < 0.97, "{slope} {r}");
-        assert!(exposures(&observations, &seen).is_empty());
+        assert!(faults(&observations, &seen).is_empty());
     }
 
     #[test]
@@ -328,42 +271,27 @@ pub(super) mod tests {
             truth.fill(0.0);
             truth[[4, 4]] = 1.0;
         }
-        assert_eq!(exposures(&observations, &seen).len(), 1);
+        assert_eq!(faults(&observations, &seen).len(), 1);
         // A gradient of light, stronger where the specimen is brighter: the slope changes by more than doubt begins at.
         let own = Array2::from_shape_fn((96, 96), |(r, c)| seen[2].own[[r, c]] * c as f32 / 48.0);
         let mean = own.mean().unwrap();
         seen[2].measured = Array2::from_shape_fn((96, 96), |(r, c)| own[[r, c]] + 0.2 * mean * c as f32 / 48.0);
         seen[2].own = own;
-        let [slope, r] = slopes(&seen)[2];
-        assert!(slope > 1.0 + LIGHT && r > 1.0 - SLACK, "{slope} {r}");
-        assert!(exposures(&observations, &seen).is_empty(), "{slope} {r}");
+        let [slope, r] = scene_light::slopes(&seen)[2];
+        assert!(slope > 1.0 + LIGHT && r > 0.99, "{slope} {r}");
+        assert!(faults(&observations, &seen).is_empty(), "{slope} {r}");
     }
 
     #[test]
-    fn light_at_the_border_of_a_record_is_no_wrong_exposure() {
-        let (mut observations, seen) = scenes(0.0, |k| if k == 2 { 1.2 } else { 1.0 });
-        for truth in &mut observations.truths {
-            truth.fill(0.0);
-            truth[[4, 4]] = 1.0;
-        }
-        assert_eq!(exposures(&observations, &seen).len(), 1);
-        // A third of its light in the first row.
-        observations.truths[2][[0, 3]] = 0.5;
-        assert!((at_the_border(&observations, 2) - 1.0 / 3.0).abs() < 1e-9);
-        assert!(exposures(&observations, &seen).is_empty());
-    }
-
-    #[test]
-    fn frames_out_of_place_are_no_faults_of_exposure() {
+    fn scenes_out_of_place_have_no_wrong_exposures() {
         for moved_px in [0.0, 0.8, 2.0] {
-            assert!(faults(moved_px, 1.0).is_empty(), "moved by {moved_px} px: {:?}", faults(moved_px, 1.0));
+            let (observations, seen) = scenes(moved_px, |_| 1.0);
+            let found = faults(&observations, &seen);
+            assert!(found.is_empty(), "moved by {moved_px} px: {found:?}");
         }
-        for moved_px in [0.0, 0.8] {
-            let found = faults(moved_px, 1.5);
-            let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, .. }] = found[..] else {
-                panic!("moved by {moved_px} px: {found:?}")
-            };
-            assert!((factor - 1.5).abs() < 0.05, "{factor}");
-        }
+        let (observations, seen) = scenes(0.0, |k| if k == 2 { 1.5 } else { 1.0 });
+        let found = faults(&observations, &seen);
+        let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, .. }] = found[..] else { panic!("{found:?}") };
+        assert!((factor - 1.5).abs() < 0.001, "{factor}");
     }
 }

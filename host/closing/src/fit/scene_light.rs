@@ -4,6 +4,7 @@
 use super::record::{SMOOTH_PX, Seen, correlation, median, slope};
 use super::{Fitted, Model};
 use crate::data::Shown;
+use ndarray::Array2;
 use ommatidia_physics::effects::blur_within;
 use rayon::prelude::*;
 
@@ -26,6 +27,28 @@ pub(crate) struct Light {
 }
 
 impl Light {
+    /// The light of a scene by its predicted light above the black level, what is left of it beside that, both in DN,
+    /// and one over the standard deviation of each pixel, 0 where it does not count; all [rows, cols].
+    pub(super) fn of(light_dn: &Array2<f32>, left_dn: &Array2<f32>, inverse_sigma: &Array2<f32>) -> Self {
+        let (rows, cols) = light_dn.dim();
+        let mut parts = [Sums::default(); PARTS * PARTS];
+        let mut excess = 0.0;
+        let pixels = light_dn.indexed_iter().zip(left_dn).zip(inverse_sigma);
+        for ((((r, c), light), left), w) in pixels.filter(|(_, w)| **w > 0.0) {
+            let [light, left, w] = [*light, *left, *w].map(f64::from);
+            parts[r * PARTS / rows * PARTS + c * PARTS / cols].add(light, left, w * w);
+            excess += (left * w).powi(2) - 1.0;
+        }
+        let all = parts.iter().fold(Sums::default(), |sum, p| sum.with(p));
+        let means = [all.light / all.weight.max(f64::MIN_POSITIVE), all.left / all.weight.max(f64::MIN_POSITIVE)];
+        let [by, information] = all.slope(means);
+        let of_part = |p: Sums| {
+            let [by, information] = p.slope(means);
+            [1.0 + by, information]
+        };
+        Self { by, sigma: information.powf(-0.5), excess, parts: parts.map(of_part).to_vec() }
+    }
+
     /// The fall of chi-squared with the difference.
     pub(super) fn fall(&self) -> f64 {
         (self.by / self.sigma).powi(2)
@@ -38,25 +61,7 @@ pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
     let black_dn = (model.forward.noise().black_level_dn + fit.state.black_dn) as f32;
     let scenes = model.seen.frames.iter().zip(&fit.predicted).filter(|(f, _)| matches!(f.shown, Shown::Object(_)));
     scenes
-        .map(|(_, here)| {
-            let (rows, cols) = here.dn.dim();
-            let mut parts = [Sums::default(); PARTS * PARTS];
-            let mut excess = 0.0;
-            let pixels = here.dn.indexed_iter().zip(&here.residual_dn).zip(&here.inverse_sigma);
-            for ((((r, c), dn), residual), w) in pixels.filter(|(_, w)| **w > 0.0) {
-                let [light, left, w] = [dn - black_dn, *residual, *w].map(f64::from);
-                parts[r * PARTS / rows * PARTS + c * PARTS / cols].add(light, left, w * w);
-                excess += (left * w).powi(2) - 1.0;
-            }
-            let all = parts.iter().fold(Sums::default(), |sum, p| sum.with(p));
-            let means = [all.light / all.weight.max(f64::MIN_POSITIVE), all.left / all.weight.max(f64::MIN_POSITIVE)];
-            let [by, information] = all.slope(means);
-            let of_part = |p: Sums| {
-                let [by, information] = p.slope(means);
-                [1.0 + by, information]
-            };
-            Light { by, sigma: information.powf(-0.5), excess, parts: parts.map(of_part).to_vec() }
-        })
+        .map(|(_, here)| Light::of(&here.dn.mapv(|dn| dn - black_dn), &here.residual_dn, &here.inverse_sigma))
         .collect()
 }
 
@@ -113,7 +118,7 @@ pub(super) fn beside_median(values: Vec<f64>) -> Vec<f64> {
 
 /// Light of each frame over that of its record, both blurred, and their correlation. The regression has an intercept,
 /// so that an even background is no light of the specimen.
-pub(super) fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
+pub(crate) fn slopes(frames: &[Seen]) -> Vec<[f64; 2]> {
     let of = |s: &Seen| {
         let [y, m] = [&s.measured, &s.own].map(|image| blur_within(image, SMOOTH_PX));
         [slope(&y, &m), correlation(&y, &m)]

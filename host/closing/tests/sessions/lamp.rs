@@ -81,18 +81,24 @@ fn a_response_that_rises_over_the_sensor_is_no_gain_of_lenses() {
     assert_eq!(names(&closed(&Session::open(&dir).unwrap())), ["lens_gain"]);
 }
 
-/// Errors of the calibration could leave as much in all frames together: they do not change the light of one frame.
+/// Errors of the calibration could leave as much in all frames together: they do not change the light of one frame. Under
+/// a strong effect the light of all frames scatters.
 #[test]
-fn an_exposure_that_is_a_tenth_too_long_is_found() {
+fn an_exposure_that_is_a_tenth_too_long_is_found_also_beside_a_strong_effect() {
     let folder = tempfile::tempdir().unwrap();
-    for frame in [2.0, 5.0] {
+    let moved = EffectSetting::new("array_shift", &[("row_px", 0.8)]);
+    for (frame, beside) in [(2.0, None), (5.0, Some(moved))] {
         let dir = folder.path().join(format!("{frame}"));
         let wrong = EffectSetting::new("metadata_fault", &[("exposure_factor", 1.1), ("frame", frame)]);
-        measured(Holds::Whole, &[wrong], &dir, 65);
+        let all: Vec<_> = beside.iter().cloned().chain([wrong]).collect();
+        measured(Holds::Whole, &all, &dir, 65);
         let closing = closed(&Session::open(&dir).unwrap());
         let [fault] = closing.faults.as_slice() else { panic!("{:?}", closing.faults) };
         let FaultKind::Exposure { factor } = fault.kind else { panic!("{fault:?}") };
         assert!(fault.frame == frame as usize && (factor - 1.1).abs() < 0.01, "{fault:?}");
+        let mut named = names(&closing);
+        named.sort_unstable();
+        assert_eq!(named, beside.iter().map(|e| e.id.as_str()).chain(["metadata_fault"]).collect::<Vec<_>>());
     }
 }
 
