@@ -228,7 +228,7 @@ impl VirtualInstrument {
         infos: &[FrameInfo],
         draw: Draw,
         light: impl Fn(&FrameInfo) -> Lit + Sync,
-        done: &(impl Fn(usize) + Sync),
+        done: &(dyn Fn(usize) + Sync),
     ) -> Result<f64, SessionError> {
         let mut peak = 0.0f32;
         for group in infos.chunks(4 * rayon::current_num_threads()) {

@@ -18,7 +18,7 @@ impl VirtualInstrument {
         &self,
         writer: &mut SessionWriter,
         seed: u64,
-        done: &(impl Fn(usize) + Sync),
+        done: &(dyn Fn(usize) + Sync),
     ) -> Result<f64, BenchError> {
         let (n, stacks) = (self.config.scene_count(), &self.config.stacks);
         let at = |i: usize| FrameInfo { z_um: stacks.scene_depths_um[i / stacks.scene_frames], ..self.info(i) };

@@ -86,7 +86,7 @@ impl VirtualInstrument {
         &self,
         writer: &mut SessionWriter,
         draw: Draw,
-        done: &(impl Fn(usize) + Sync),
+        done: &(dyn Fn(usize) + Sync),
     ) -> Result<f64, BenchError> {
         let role = draw.role;
         let infos = self.infos(role);

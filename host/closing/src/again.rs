@@ -23,7 +23,7 @@ pub(crate) fn again(
     seen: &mut Observations,
     options: &CloseOptions<'_>,
     (faults, first): (Vec<Fault>, Attempt),
-    mut progress: impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Closed, CloseError> {
     for correction in [Correction::Exposures, Correction::Flicker] {
         let recorded = Recorded::of(seen);
@@ -33,7 +33,7 @@ pub(crate) fn again(
         }
         let faults: Vec<Fault> = faults.iter().cloned().chain(found).collect();
         let given = Given { exclude: options.exclude, faults: &faults };
-        match attempt(instrument, seen, options, given, &mut progress)? {
+        match attempt(instrument, seen, options, given, progress)? {
             Outcome::Ended(second) if correction.counts(&first, &second) => return Ok(second.closed),
             _ => recorded.restore(seen),
         }

@@ -25,11 +25,21 @@ pub fn close(
     options: &CloseOptions<'_>,
     mut progress: impl FnMut(&str),
 ) -> Result<Closed, CloseError> {
+    close_with(instrument, seen, options, &mut progress)
+}
+
+/// As [`close()`]. It is compiled once, and not again for each crate that calls it.
+fn close_with(
+    instrument: &Instrument,
+    seen: &mut Observations,
+    options: &CloseOptions<'_>,
+    progress: &mut dyn FnMut(&str),
+) -> Result<Closed, CloseError> {
     if seen.frames.is_empty() {
         return Err(CloseError::Empty);
     }
     let of_darks = screened(instrument, seen)?;
-    let mut closed = attempts(instrument, seen, options, &mut progress)?;
+    let mut closed = attempts(instrument, seen, options, progress)?;
     let closing = &mut closed.account.closing;
     closing.notes.splice(0..0, of_darks.into_iter().chain(unit_note(&closing.faults)));
     let (verdict, note) = quiet(closing.verdict, closing.after, &closing.effects);
@@ -46,7 +56,7 @@ fn attempts(
     instrument: &Instrument,
     seen: &mut Observations,
     options: &CloseOptions<'_>,
-    mut progress: impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Closed, CloseError> {
     estimate_specimens(instrument, seen);
     progress("records");
@@ -56,7 +66,7 @@ fn attempts(
         // A curve over time would take a wrong exposure for its own.
         exclude.push("unknown_profile".into());
     }
-    match attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, &mut progress)? {
+    match attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, progress)? {
         Outcome::Ended(first) if doubted.is_empty() && first.explains_all() => Ok(first.closed),
         Outcome::Ended(first) => again(instrument, seen, options, (faults, *first), progress),
         Outcome::Misplaced(fault) => without_truths(instrument, seen, options, (faults, fault)),

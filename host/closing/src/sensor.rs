@@ -85,7 +85,7 @@ fn measured(instrument: &Instrument, session: &Session, seen: &Observations) -> 
         nominal_gain_dn_per_e: Some(noise.gain_dn_per_e),
         nominal_read_noise_e: Some(noise.read_noise_e),
     };
-    Ok(measure_noise(&of_sensor, &config, || ())?)
+    Ok(measure_noise(&of_sensor, &config, &mut || ())?)
 }
 
 /// Takes over what is missing, and lists it.

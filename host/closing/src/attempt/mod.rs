@@ -40,7 +40,7 @@ pub(crate) fn attempt(
     seen: &Observations,
     options: &CloseOptions<'_>,
     given: Given<'_>,
-    progress: &mut impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Outcome, CloseError> {
     // Fitted once and for all by all cores: frames that are predicted side by side would each fit them.
     instrument.fit_pupils();

@@ -40,7 +40,7 @@ pub(super) fn report(
     settled: Settled,
     options: &CloseOptions<'_>,
     given: Given<'_>,
-    progress: &mut impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Attempt, CloseError> {
     let Basis { instrument, model, own, judged_on, .. } = *basis;
     let Settled { now, closed, found, .. } = &settled;

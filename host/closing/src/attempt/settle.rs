@@ -68,7 +68,7 @@ pub(super) fn settle(
     basis: &Basis<'_>,
     options: &CloseOptions<'_>,
     given: Given<'_>,
-    progress: &mut impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<End, CloseError> {
     let (model, replicas, own) = (basis.model, &basis.replicas, basis.own);
     progress("catalogue");
@@ -168,7 +168,7 @@ fn has_ended(search: &Search<'_, '_>) -> bool {
 fn revised(
     basis: &Basis<'_>,
     search: &mut Search<'_, '_>,
-    progress: &mut impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Vec<Dependence>, ForwardError> {
     if !has_ended(search) {
         search.exchange(progress)?;
@@ -213,7 +213,7 @@ fn without_imitations<'b, 'm>(
     basis: &'b Basis<'m>,
     search: &mut Search<'b, 'm>,
     exclude: &[String],
-    progress: &mut impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Vec<Imitation>, ForwardError> {
     let named = |f: &Found| !f.id.starts_with("unknown");
     if !search.found.iter().any(named) {

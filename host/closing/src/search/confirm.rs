@@ -176,7 +176,7 @@ impl FullFits<'_, '_> {
         &self,
         finalists: &[&'c Candidate],
         fits: &mut Vec<(&'static str, Fitted)>,
-        progress: &mut impl FnMut(&str),
+        progress: &mut dyn FnMut(&str),
     ) -> Result<Verdict<'c>, ForwardError> {
         // What was given up was compared with a finalist that may be gone.
         fits.retain(|(id, fit)| !fit.given_up && finalists.iter().any(|c| c.term.id() == *id));

@@ -110,7 +110,7 @@ pub(crate) fn replaced<'m, 'a>(
     search: &mut Search<'m, 'a>,
     mut again: Search<'m, 'a>,
     (own, first): (usize, &Fitted),
-    progress: &mut impl FnMut(&str),
+    progress: &mut dyn FnMut(&str),
 ) -> Result<Vec<Imitation>, ForwardError> {
     again.run(Tried::Maps, progress)?;
     again.run(Tried::Curves, progress)?;

@@ -26,7 +26,7 @@ impl Search<'_, '_> {
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn exchange(&mut self, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+    pub fn exchange(&mut self, progress: &mut dyn FnMut(&str)) -> Result<(), ForwardError> {
         if self.now.state.specimens.is_some() {
             return Ok(());
         }
@@ -43,7 +43,7 @@ impl Search<'_, '_> {
     fn exchanged(
         &mut self,
         replaced: &[&'static str],
-        progress: &mut impl FnMut(&str),
+        progress: &mut dyn FnMut(&str),
     ) -> Result<Option<&'static str>, ForwardError> {
         let open = |f: &Found| !f.id.starts_with("unknown") && f.table_sigma.is_none();
         if self.found.iter().filter(|f| open(f)).count() < 2 {

@@ -35,7 +35,7 @@ impl Search<'_, '_> {
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn add_pair(&mut self, progress: &mut impl FnMut(&str)) -> Result<bool, ForwardError> {
+    pub fn add_pair(&mut self, progress: &mut dyn FnMut(&str)) -> Result<bool, ForwardError> {
         if self.now.state.specimens.is_some() || self.is_full(Tried::Catalogue) {
             return Ok(false);
         }
@@ -60,7 +60,7 @@ impl Search<'_, '_> {
     fn best_pair(
         &self,
         able: &[Candidate],
-        progress: &mut impl FnMut(&str),
+        progress: &mut dyn FnMut(&str),
     ) -> Result<Option<(Pair, Fitted)>, ForwardError> {
         let lenses = self.model.lenses();
         let mut best: Option<(f64, Pair, Fitted)> = None;

@@ -101,7 +101,7 @@ impl<'m, 'a> Search<'m, 'a> {
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn run(&mut self, tried: Tried, progress: &mut impl FnMut(&str)) -> Result<(), ForwardError> {
+    pub fn run(&mut self, tried: Tried, progress: &mut dyn FnMut(&str)) -> Result<(), ForwardError> {
         let mut refused = Refused { ids: self.shadowed.iter().map(|s| s.id).collect(), in_vain: 0 };
         loop {
             let candidates = self.candidates(tried)?;
@@ -145,7 +145,7 @@ impl<'m, 'a> Search<'m, 'a> {
         tried: Tried,
         candidates: &[Candidate],
         refused: &mut Refused,
-        progress: &mut impl FnMut(&str),
+        progress: &mut dyn FnMut(&str),
     ) -> Result<bool, ForwardError> {
         let p: Vec<f64> = candidates.iter().map(Candidate::p).collect();
         let significant = holm(&p, ALPHA);

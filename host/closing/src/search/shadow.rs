@@ -30,7 +30,7 @@ impl Search<'_, '_> {
     pub fn out_of_the_shadow(
         &mut self,
         is_noise: impl Fn(&Fitted) -> Result<bool, ForwardError>,
-        progress: &mut impl FnMut(&str),
+        progress: &mut dyn FnMut(&str),
     ) -> Result<bool, ForwardError> {
         if self.now.state.specimens.is_some() {
             return Ok(false);

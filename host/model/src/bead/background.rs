@@ -101,10 +101,10 @@ pub fn remove_background(
     manifest: &Manifest,
     rays: &ChiefRays,
     offset_dn: f64,
-    mut step: impl FnMut(),
+    step: &mut dyn FnMut(),
 ) -> Result<Option<(BeadBackground, Vec<Slopes>)>, BeadError> {
     let reach = super::extent::reach(manifest) as f64;
-    let mut fits = read(scan, manifest, rays, [reach, 0.0], &mut step)?;
+    let mut fits = read(scan, manifest, rays, [reach, 0.0], step)?;
     let known: Vec<&FrameFit> = fits.iter().flatten().collect();
     if known.is_empty() {
         return Ok(None);

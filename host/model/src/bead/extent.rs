@@ -32,7 +32,7 @@ pub fn extent(
     scan: &mut BeadScan,
     manifest: &Manifest,
     rays: &ChiefRays,
-    mut step: impl FnMut(),
+    step: &mut dyn FnMut(),
 ) -> Result<Option<Extent>, BeadError> {
     let nominal = manifest.optics.psf_window_px / 2;
     let mut reach = reach(manifest);

@@ -35,7 +35,7 @@ pub struct RayFit {
 ///
 /// # Errors
 /// A frame cannot be read, no lens shows a focus, or the magnification is far from the nominal one.
-pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, mut step: impl FnMut()) -> Result<RayFit, BeadError> {
+pub fn fit_chief_rays(scan: &mut BeadScan, manifest: &Manifest, step: &mut dyn FnMut()) -> Result<RayFit, BeadError> {
     let mut sum = Array2::zeros((manifest.sensor.rows, manifest.sensor.cols));
     for n in 0..scan.beads.len() {
         let frame = scan.light_dn(n)?;

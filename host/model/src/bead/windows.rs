@@ -41,7 +41,7 @@ pub fn cut_windows(
     manifest: &Manifest,
     rays: &ChiefRays,
     BeadCut { scale, nominal_px }: BeadCut,
-    mut step: impl FnMut(),
+    step: &mut dyn FnMut(),
 ) -> Result<(Vec<LensWindows>, Vec<Warning>), BeadError> {
     let side = manifest.optics.psf_window_px;
     let (lenses, beads) = (manifest.array.lenses(), scan.beads.len());

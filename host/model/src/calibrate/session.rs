@@ -99,13 +99,22 @@ pub fn calibrate(
     config: &CalibrateConfig,
     mut step: impl FnMut(),
 ) -> Result<Calibration, CalibrateError> {
+    calibrate_with(session, config, step)
+}
+
+/// As [`calibrate()`]. It is compiled once, and not again for each crate that calls it.
+fn calibrate_with(
+    session: &Session,
+    config: &CalibrateConfig,
+    step: &mut dyn FnMut(),
+) -> Result<Calibration, CalibrateError> {
     let mut manifest = Manifest { stacks: Vec::new(), ..session.manifest().clone() };
-    let checked = check(session, &mut step)?;
+    let checked = check(session, &mut *step)?;
     let errors: Vec<Finding> = checked.at_least(Severity::Error).cloned().collect();
     if !(errors.is_empty() || config.accept) {
         return Err(CalibrateError::Check(errors));
     }
-    let noise = measure_noise(session, &config.noise, &mut step)?;
+    let noise = measure_noise(session, &config.noise, step)?;
     let bend = noise.bend;
     let mut notes: Vec<String> =
         checked.at_least(Severity::Warning).filter(|f| is_new(f)).map(|f| format!("{}: {}", f.topic, f.text)).collect();
@@ -123,14 +132,14 @@ pub fn calibrate(
         sensor_only::instrument(session, manifest, noise)?
     } else {
         let mut scan = BeadScan::open(session, noise.model, maps(&noise), noise.bend)?;
-        let fitted = fit_chief_rays(&mut scan, &manifest, &mut step)?;
-        let background = remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, &mut step)?;
+        let fitted = fit_chief_rays(&mut scan, &manifest, step)?;
+        let background = remove_background(&mut scan, &manifest, &fitted.rays, noise.map_errors.offset_dn, step)?;
         notes.extend(background_note(background.as_ref().map(|(b, _)| b)));
         let nominal = manifest.optics.psf_window_px;
         if let Some(found) = config.window_px.filter(|side| side.is_multiple_of(2)) {
             return Err(CalibrateError::Window { found });
         }
-        let extent = extent(&mut scan, &manifest, &fitted.rays, &mut step)?;
+        let extent = extent(&mut scan, &manifest, &fitted.rays, step)?;
         // Foci that wander about their chief rays need room as well as those that have tails.
         let grown = || extent.as_ref().map_or(nominal, |e| e.side_px().max(nominal));
         manifest.optics.psf_window_px = config.window_px.unwrap_or_else(grown);
@@ -140,7 +149,7 @@ pub fn calibrate(
         let dead = &fitted.rays.dead;
         let mut fit_with = |scale| -> Result<_, CalibrateError> {
             let cut = BeadCut { scale, nominal_px: nominal };
-            let (windows, warnings) = cut_windows(&mut scan, &manifest, &fitted.rays, cut, &mut step)?;
+            let (windows, warnings) = cut_windows(&mut scan, &manifest, &fitted.rays, cut, step)?;
             let fit = FitConfig { rank: config.rank, max_rank: config.max_rank, one_psf: config.one_psf, scale };
             let target = ModelConfig { fit, manifest: &manifest, exposure_ms: scan.exposure_ms };
             Ok((Model::fit(&windows, dead, &planes, target)?, windows, warnings))

@@ -141,7 +141,12 @@ impl SessionCheck {
 /// # Errors
 /// A frame cannot be read.
 pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, SessionError> {
-    let (of_values, levels) = frames::look(session, &mut step)?;
+    check_with(session, &mut step)
+}
+
+/// As [`check`]. It is compiled once, and not again for each crate that calls it.
+fn check_with(session: &Session, step: &mut dyn FnMut()) -> Result<SessionCheck, SessionError> {
+    let (of_values, levels) = frames::look(session, step)?;
     let mut findings: Vec<Finding> = levels.iter().flat_map(constant::describe).collect();
     findings.extend(of_values);
     findings.extend(frames::pixel_sizes(session)?);
@@ -149,7 +154,7 @@ pub fn check(session: &Session, mut step: impl FnMut()) -> Result<SessionCheck, 
     findings.extend(recording::losses(session));
     let mut found = None;
     if session.stacks_of(Role::Bead).next().is_some() {
-        let mut scan = scan::Scan::read(session, &mut step)?;
+        let mut scan = scan::Scan::read(session, step)?;
         findings.extend(light::lost(&mut scan));
         findings.extend(light::drift(&scan));
         // Where all frames are constant, that is said already.

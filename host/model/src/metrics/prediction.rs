@@ -113,7 +113,7 @@ fn settled(
     mut free: Free,
     with_background: bool,
     (count, sensor): (usize, SensorNoise<'_>),
-    frame: &mut impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
+    frame: &mut dyn FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
 ) -> anyhow::Result<(PredictionFigures, Free, Option<Plane>)> {
     for _ in 1..PASSES {
         let Pass { figures, more, measured, reference } = figures_at(free, count, sensor, frame)?;
@@ -152,7 +152,7 @@ fn figures_at(
     free: Free,
     count: usize,
     sensor: SensorNoise<'_>,
-    frame: &mut impl FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
+    frame: &mut dyn FnMut(usize, f64) -> anyhow::Result<FrameComparison>,
 ) -> anyhow::Result<Pass> {
     let (black, top) = (sensor.noise.black_level_dn as f32, sensor.noise.saturation_dn);
     let (mut sums, mut fit) = (Moments::default(), Moments::default());

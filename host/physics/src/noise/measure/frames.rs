@@ -58,7 +58,7 @@ pub(super) fn read_group(
     session: &Session,
     role: Role,
     group: &Group,
-    step: &mut impl FnMut(),
+    step: &mut dyn FnMut(),
 ) -> Result<PixelStats, NoiseError> {
     let mut readers = session.stacks_of(role).map(Stack::frames).collect::<Result<Vec<_>, _>>()?;
     let sensor = session.manifest().sensor;
@@ -101,7 +101,7 @@ pub(super) fn darkest(session: &Session) -> Result<f64, NoiseError> {
 }
 
 /// Median of bead frames, and the variance of the pixels below it, which no focus touches.
-pub(super) fn background_of_beads(session: &Session, step: &mut impl FnMut()) -> Result<Background, NoiseError> {
+pub(super) fn background_of_beads(session: &Session, step: &mut dyn FnMut()) -> Result<Background, NoiseError> {
     let (mut medians, mut variances) = (Vec::new(), Vec::new());
     if let Some(stack) = session.stacks_of(Role::Bead).next() {
         let mut frames = stack.frames()?;

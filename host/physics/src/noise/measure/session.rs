@@ -36,7 +36,7 @@ struct Dark {
 pub fn measure_noise(
     session: &Session,
     config: &NoiseConfig,
-    mut step: impl FnMut(),
+    step: &mut dyn FnMut(),
 ) -> Result<NoiseCalibration, NoiseError> {
     for (field, found) in
         [("nominal_gain_dn_per_e", config.nominal_gain_dn_per_e), ("nominal_read_noise_e", config.nominal_read_noise_e)]
@@ -47,7 +47,7 @@ pub fn measure_noise(
     }
     let saturation_dn = session.manifest().sensor.saturation_dn();
     let mut notes = Vec::new();
-    let dark = measure_darks(session, saturation_dn, &mut step)?;
+    let dark = measure_darks(session, saturation_dn, step)?;
     if dark.as_ref().is_some_and(|d| d.level.is_none()) {
         notes.push(NoiseNote::OneDark);
     }
@@ -55,7 +55,7 @@ pub fn measure_noise(
     let black = if let Some(dark) = &dark {
         dark.offsets.black_dn
     } else if session.stacks_of(Role::Bead).next().is_some() {
-        let seen = background.insert(background_of_beads(session, &mut step)?);
+        let seen = background.insert(background_of_beads(session, step)?);
         notes.push(NoiseNote::NoDarks { black_level_dn: seen.median });
         seen.median
     } else {
@@ -64,7 +64,7 @@ pub fn measure_noise(
         black_level_dn
     };
     let dark_level = dark.as_ref().and_then(|d| d.level);
-    let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, &mut step)?;
+    let Flats { levels, response } = measure_flats(session, black, dark.as_ref(), saturation_dn, step)?;
     let (lit, levels): (Vec<LitLevel>, Vec<Summary>) = levels.into_iter().map(|l| (l, l.summary)).unzip();
     let bend = match bend(&lit, dark_level, saturation_dn - black) {
         Shown::Nothing => None,
@@ -201,7 +201,7 @@ fn read_noise(
 }
 
 /// Black level, offsets and dark variance; `None` without darks.
-fn measure_darks(session: &Session, saturation_dn: f64, step: &mut impl FnMut()) -> Result<Option<Dark>, NoiseError> {
+fn measure_darks(session: &Session, saturation_dn: f64, step: &mut dyn FnMut()) -> Result<Option<Dark>, NoiseError> {
     let Some(group) = darks(session) else { return Ok(None) };
     let stats = read_group(session, Role::Dark, &group, step)?;
     let level = stats.summary(0.0, None, saturation_dn);
@@ -228,7 +228,7 @@ fn measure_flats(
     black: f64,
     dark: Option<&Dark>,
     saturation_dn: f64,
-    step: &mut impl FnMut(),
+    step: &mut dyn FnMut(),
 ) -> Result<Flats, NoiseError> {
     let (mut levels, mut sums) = (Vec::new(), ResponseSums::default());
     let without_light = dark.and_then(|d| d.level).map(|l| l.variance);

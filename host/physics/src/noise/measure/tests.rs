@@ -18,7 +18,7 @@ fn measured_with(bed: &Testbed, config: NoiseConfig) -> NoiseCalibration {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("session");
     Testbed { scan: 2, scenes: 0, ..bed.clone() }.write(&path);
-    measure_noise(&Session::open(&path).unwrap(), &config, || {}).unwrap()
+    measure_noise(&Session::open(&path).unwrap(), &config, &mut || {}).unwrap()
 }
 
 /// The notes as a user reads them.
@@ -48,7 +48,7 @@ fn video(config: NoiseConfig) -> NoiseCalibration {
     frames.finish().unwrap();
     writer.add(StackEntry::plain(Role::Scene, "scene.npy", 10.0));
     writer.finish().unwrap();
-    measure_noise(&Session::open(&path).unwrap(), &config, || {}).unwrap()
+    measure_noise(&Session::open(&path).unwrap(), &config, &mut || {}).unwrap()
 }
 
 #[test]
@@ -176,7 +176,7 @@ fn the_darks_of_the_exposure_of_the_frames_count_whatever_their_order() {
             writer.add(StackEntry::plain(role, &name, exposure_ms));
         }
         writer.finish().unwrap();
-        measure_noise(&Session::open(&path).unwrap(), &NoiseConfig::default(), || {}).unwrap().model.black_level_dn
+        measure_noise(&Session::open(&path).unwrap(), &NoiseConfig::default(), &mut || {}).unwrap().model.black_level_dn
     };
     for order in [[10.0, 40.0], [40.0, 10.0]] {
         for scenes_ms in [10.0, 12.0, 40.0] {
