@@ -43,7 +43,7 @@ pub(crate) fn exposures(seen: &Observations, frames: &[Seen], slopes: &[f64], li
     }
     let logs = logs(light);
     let usual = median(slopes.to_vec()).unwrap_or(1.0);
-    let parts: Vec<Parts> = light.iter().map(|l| Parts(&l.parts)).collect();
+    let parts: Vec<Parts<'_>> = light.iter().map(|l| Parts(&l.parts)).collect();
     // Noise alone makes the median difference two thirds of a standard error, and of few frames up to all of it.
     let by_noise = median(light.iter().map(|l| l.sigma).collect()).unwrap_or(0.0);
     let scatter = (scatter(&logs).powi(2) - by_noise.powi(2)).max(0.0).sqrt();

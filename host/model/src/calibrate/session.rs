@@ -99,7 +99,7 @@ pub fn calibrate(
     config: &CalibrateConfig,
     mut step: impl FnMut(),
 ) -> Result<Calibration, CalibrateError> {
-    calibrate_with(session, config, step)
+    calibrate_with(session, config, &mut step)
 }
 
 /// As [`calibrate()`]. It is compiled once, and not again for each crate that calls it.
