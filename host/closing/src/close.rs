@@ -67,7 +67,6 @@ fn attempts(
         exclude.push("unknown_profile".into());
     }
     match attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, progress)? {
-        Outcome::Ended(first) if doubted.is_empty() && first.explains_all() => Ok(first.closed),
         Outcome::Ended(first) => again(instrument, seen, options, (faults, *first), progress),
         Outcome::Misplaced(fault) => without_truths(instrument, seen, options, (faults, fault)),
     }

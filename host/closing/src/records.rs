@@ -115,8 +115,11 @@ fn doubted(
     if !exposures::may_be_wrong(&slopes) {
         return Ok(Vec::new());
     }
-    let light = own_light_of(instrument, seen, state.cloned())?;
-    let mut found = exposures::exposures(seen, frames, &slopes, &light);
+    let model = Model::new(instrument, seen)?;
+    let fit = refit(&model, state.cloned().map_or_else(|| model.state(instrument), Ok)?)?;
+    let light = scene_light::light(&model, &fit);
+    let beside_borders = |i: usize| scene_light::beside_borders(&model, &fit, frames[i].frame);
+    let mut found = exposures::exposures(seen, frames, &slopes, &light, beside_borders)?;
     if !found.is_empty() {
         let mut corrected = seen.clone();
         exposures::correct_exposures(&mut corrected, &found);

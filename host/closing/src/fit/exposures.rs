@@ -7,7 +7,7 @@
 use super::record::{Seen, correlation, median};
 use super::scene_light::{Light, logs, scatter};
 use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
-use ndarray::ArrayView1;
+use ommatidia_model::forward::ForwardError;
 
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
@@ -36,47 +36,67 @@ pub(crate) fn may_be_wrong(slopes: &[f64]) -> bool {
 
 /// Finds scenes whose light differs from that of the others by a factor of their own, under a fit and in a regression of
 /// images. An effect that the model lacks may do that as well, so nothing is corrected yet. `frames`, `slopes` and
-/// `light` are of the same scenes.
-pub(crate) fn exposures(seen: &Observations, frames: &[Seen], slopes: &[f64], light: &[Light]) -> Vec<Fault> {
+/// `light` are of the same scenes; `beside_borders` gives the light of one of them beside that of the borders of its
+/// object ([`super::scene_light::beside_borders`]), which a record loses or doubles where it is displaced.
+///
+/// # Errors
+/// `beside_borders` fails.
+pub(crate) fn exposures(
+    seen: &Observations,
+    frames: &[Seen],
+    slopes: &[f64],
+    light: &[Light],
+    beside_borders: impl Fn(usize) -> Result<[f64; 2], ForwardError>,
+) -> Result<Vec<Fault>, ForwardError> {
     if frames.len() != light.len() || light.len() < 4 || light.iter().any(|l| l.by <= -1.0) {
-        return Vec::new();
+        return Ok(Vec::new());
     }
-    let logs = logs(light);
+    let all: Vec<f64> = light.iter().map(|l| l.by.ln_1p()).collect();
+    let usual_log = median(all.clone()).unwrap_or(0.0);
+    let logs: Vec<f64> = all.iter().map(|log| log - usual_log).collect();
     let usual = median(slopes.to_vec()).unwrap_or(1.0);
     let parts: Vec<Parts<'_>> = light.iter().map(|l| Parts(&l.parts)).collect();
     // Noise alone makes the median difference two thirds of a standard error, and of few frames up to all of it.
     let by_noise = median(light.iter().map(|l| l.sigma).collect()).unwrap_or(0.0);
     let scatter = (scatter(&logs).powi(2) - by_noise.powi(2)).max(0.0).sqrt();
+    // In standard errors; None: a factor of this logarithm does not stand out.
+    let stands_out = |log: f64, sigma: f64| {
+        let z = log.abs() * (log + usual_log).exp() / sigma;
+        (z > NOISE && log.abs() > LIGHT.max(STANDS_OUT * scatter)).then_some(z)
+    };
     // What the light of a scene does not explain of its excess: a scene that leaves much more than the others holds
-    // something else. Where scenes usually leave little, nothing is displaced, and none loses light at its border.
+    // something else.
     let left: Vec<f64> = light.iter().map(|l| l.excess - l.fall()).collect();
     let usually_left = median(left.clone()).unwrap_or(0.0);
     let noise = NOISE * (2.0 * seen.pixels.len() as f64).sqrt();
     let mut faults = Vec::new();
     for (i, s) in frames.iter().enumerate() {
-        let (by, factor) = (logs[i].abs(), logs[i].exp());
-        let z = by * (1.0 + light[i].by) / light[i].sigma;
-        let by_light_alone = left[i].max(usually_left) < 0.5 * light[i].fall();
-        let border = if by_light_alone { 0.0 } else { at_the_border(seen, s.frame) };
-        let is_large = z > NOISE && by > LIGHT.max(STANDS_OUT * scatter) + border;
         let [even, error] = parts[i].factor(&parts);
-        let is_even = (even - 1.0).abs() > LIGHT.max(EVEN * error);
-        // Sources that are out of place seem darker in a fit, and not in images that are blurred.
-        let is_in_place = (slopes[i] / usual - 1.0) / (factor - 1.0) > 0.5;
         let frame = seen.frames[s.frame].info.frame;
         tracing::debug!(
-            "light of frame {frame}: {:+.4} +- {:.4}, {even:.4} +- {error:.4} in its parts, left {:.0}, border {border:.4}",
+            "light of frame {frame}: {:+.4} +- {:.4}, {even:.4} +- {error:.4} in its parts, left {:.0}",
             logs[i],
             light[i].sigma,
             left[i]
         );
-        if is_large && is_even && is_in_place && left[i] < usually_left + noise + light[i].fall() {
+        let Some(z) = stands_out(logs[i], light[i].sigma) else { continue };
+        let factor = logs[i].exp();
+        let is_even = (even - 1.0).abs() > LIGHT.max(EVEN * error);
+        // Sources that are out of place seem darker in a fit, and not in images that are blurred.
+        let is_in_place = (slopes[i] / usual - 1.0) / (factor - 1.0) > 0.5;
+        if !is_even || !is_in_place || left[i] > usually_left + noise + light[i].fall() {
+            continue;
+        }
+        let [by, sigma] = beside_borders(i)?;
+        let log = by.max(-0.99).ln_1p() - usual_log;
+        tracing::debug!("beside the borders of its object: {log:+.4} +- {sigma:.4}");
+        if log * logs[i] > 0.0 && stands_out(log, sigma).is_some() {
             let r = correlation(&s.measured, &s.own);
             let kind = FaultKind::Exposure { factor };
             faults.push(Fault { frame, kind, z, correlation_before: r, correlation_after: r });
         }
     }
-    faults
+    Ok(faults)
 }
 
 /// Refines the factors of faults by the light of the scenes once they are corrected. Before, the pixels that saturate are
@@ -111,23 +131,6 @@ impl Parts<'_> {
         let count = weights * weights / sum(&|p| p[1] * p[1]).max(1e-30);
         [mean, if count < 1.5 { 0.0 } else { (variance / (count - 1.0)).sqrt() }]
     }
-}
-
-/// Share of the light of a frame's object that its record loses, or has too much of, where it is displaced by up to a
-/// pixel: that of the brighter one of the first and the last row, and of the first and the last column. The exposure is
-/// not wrong for it. The regression counts places by the square of their light.
-fn at_the_border(seen: &Observations, frame: usize) -> f64 {
-    let Shown::Object(truth) = seen.frames[frame].shown else { return 0.0 };
-    let object = &seen.truths[truth];
-    let (rows, cols) = object.dim();
-    let share = |power: i32| {
-        let sum = |line: ArrayView1<'_, f32>| line.iter().map(|v| f64::from(*v).powi(power)).sum::<f64>();
-        let [top, bottom, left, right] =
-            [object.row(0), object.row(rows - 1), object.column(0), object.column(cols - 1)].map(sum);
-        let all: f64 = object.rows().into_iter().map(sum).sum();
-        (top.max(bottom) + left.max(right)) / all.max(1e-30)
-    };
-    share(1).max(share(2))
 }
 
 /// Corrects the recorded exposures of scenes.
@@ -199,7 +202,12 @@ pub(super) mod tests {
     fn faults(observations: &Observations, seen: &[Seen]) -> Vec<Fault> {
         let light = |s: &Seen| Light::of(&s.own, &(&s.measured - &s.own), &Array2::ones(s.own.dim()));
         let light: Vec<Light> = seen.iter().map(light).collect();
-        exposures(observations, seen, &slopes(seen), &light)
+        of(observations, seen, &light)
+    }
+
+    /// Faults of scenes whose objects have no light at their borders.
+    fn of(observations: &Observations, seen: &[Seen], light: &[Light]) -> Vec<Fault> {
+        exposures(observations, seen, &slopes(seen), light, |i| Ok([light[i].by, light[i].sigma])).unwrap()
     }
 
     fn slopes(seen: &[Seen]) -> Vec<f64> {
@@ -224,7 +232,7 @@ pub(super) mod tests {
     #[test]
     fn a_wrong_exposure_of_a_dim_scene_is_seen_in_its_light() {
         let (observations, seen) = scenes(0.0, |k| if k == 2 { 1.25 } else { 1.0 });
-        let found = |light: &[Light]| exposures(&observations, &seen, &slopes(&seen), light);
+        let found = |light: &[Light]| of(&observations, &seen, light);
         let faults = found(&of_light(0.025, 1.25, 0.0));
         let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, z, .. }] = faults[..] else {
             panic!("{faults:?}")
@@ -241,17 +249,12 @@ pub(super) mod tests {
         assert!(found(&of_light(0.025, 1.25, 1e4)).is_empty());
         // Blurred images do not show it.
         let (_, even) = scenes(0.8, |_| 1.0);
-        assert!(exposures(&observations, &even, &slopes(&even), &of_light(0.025, 1.25, 0.0)).is_empty());
-        // A third of its light lies at the border of its object. It is lost there only where something is displaced.
-        let mut at_the_border = observations.clone();
-        for truth in &mut at_the_border.truths {
-            truth.fill(0.0);
-            truth[[4, 4]] = 1.0;
+        assert!(of(&observations, &even, &of_light(0.025, 1.25, 0.0)).is_empty());
+        // Beside the light at the borders of its object it has no factor, or nothing else says so.
+        let light = of_light(0.025, 1.25, 0.0);
+        for beside in [[0.02, 0.03], [0.25, 0.05], [-0.25, 0.02]] {
+            assert!(exposures(&observations, &seen, &slopes(&seen), &light, |_| Ok(beside)).unwrap().is_empty());
         }
-        at_the_border.truths[2][[0, 3]] = 0.5;
-        assert!((super::at_the_border(&at_the_border, 2) - 1.0 / 3.0).abs() < 1e-9);
-        let found = |more: f64| exposures(&at_the_border, &seen, &slopes(&seen), &of_light(0.01, 1.25, more)).len();
-        assert_eq!([found(0.0), found(500.0)], [1, 0]);
     }
 
     #[test]
@@ -266,11 +269,7 @@ pub(super) mod tests {
 
     #[test]
     fn light_from_elsewhere_in_one_frame_is_no_wrong_exposure() {
-        let (mut observations, mut seen) = scenes(0.0, |k| if k == 2 { 1.1 } else { 1.0 });
-        for truth in &mut observations.truths {
-            truth.fill(0.0);
-            truth[[4, 4]] = 1.0;
-        }
+        let (observations, mut seen) = scenes(0.0, |k| if k == 2 { 1.1 } else { 1.0 });
         assert_eq!(faults(&observations, &seen).len(), 1);
         // A gradient of light, stronger where the specimen is brighter: the slope changes by more than doubt begins at.
         let own = Array2::from_shape_fn((96, 96), |(r, c)| seen[2].own[[r, c]] * c as f32 / 48.0);

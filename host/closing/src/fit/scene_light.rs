@@ -2,9 +2,11 @@
 //! fit of what all scenes share.
 
 use super::record::{SMOOTH_PX, Seen, correlation, median, slope};
+use super::solve::pseudo_inverse;
 use super::{Fitted, Model};
 use crate::data::Shown;
-use ndarray::Array2;
+use ndarray::{Array2, Axis};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::blur_within;
 use rayon::prelude::*;
 
@@ -63,6 +65,63 @@ pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
     scenes
         .map(|(_, here)| Light::of(&here.dn.mapv(|dn| dn - black_dn), &here.residual_dn, &here.inverse_sigma))
         .collect()
+}
+
+/// The light of frame `k`, a scene with a known object, over that of its prediction under a fit, and its standard error,
+/// beside the light of the first and the last row and column of its object: a record that is displaced by up to a pixel
+/// loses or doubles that. An object that has no other light says nothing: the error is infinite.
+///
+/// # Errors
+/// The parts of the instrument disagree.
+pub(crate) fn beside_borders(model: &Model<'_>, fit: &Fitted, k: usize) -> Result<[f64; 2], ForwardError> {
+    let Shown::Object(truth) = model.seen.frames[k].shown else { return Ok([0.0, f64::INFINITY]) };
+    let object = &model.seen.truths[truth];
+    let (rows, cols) = object.dim();
+    let chain = model.chain(&fit.state.terms);
+    let cx = model.context(k, None);
+    let lines = [(Axis(0), 0), (Axis(0), rows - 1), (Axis(1), 0), (Axis(1), cols - 1)];
+    let of_line = |(axis, at)| {
+        let mut line = Array2::<f32>::zeros(object.dim());
+        line.index_axis_mut(axis, at).assign(&object.index_axis(axis, at));
+        let scene = model.forward.scene(line.view(), &chain, &cx)?;
+        Ok(model.forward.light_e(&scene, &chain, &cx))
+    };
+    let borders: Vec<Array2<f32>> = lines.into_iter().map(of_line).collect::<Result<_, ForwardError>>()?;
+    let here = &fit.predicted[k];
+    Ok(slope_beside(&here.dn, &borders, &here.residual_dn, &here.inverse_sigma))
+}
+
+/// The slope of what is left on the light, beside slopes on other images and an intercept, and its standard error; all
+/// [rows, cols].
+fn slope_beside(
+    light: &Array2<f32>,
+    others: &[Array2<f32>],
+    left: &Array2<f32>,
+    inverse_sigma: &Array2<f32>,
+) -> [f64; 2] {
+    let n = others.len() + 1;
+    let (mut gram, mut cross) = (Array2::<f64>::zeros((n, n)), Array2::<f64>::zeros((n, 2)));
+    let (mut squares, mut product) = (0.0, 0.0);
+    let mut row = vec![1.0; n];
+    for (at, w) in inverse_sigma.indexed_iter().filter(|(_, w)| **w > 0.0) {
+        let [light, left, w] = [light[at], left[at], *w].map(f64::from);
+        row.iter_mut().zip(others).for_each(|(v, o)| *v = f64::from(o[at]));
+        for i in 0..n {
+            let v = w * w * row[i];
+            (0..n).for_each(|j| gram[[i, j]] += v * row[j]);
+            cross[[i, 0]] += v * light;
+            cross[[i, 1]] += v * left;
+        }
+        squares += w * w * light * light;
+        product += w * w * light * left;
+    }
+    // What the others explain of both is taken from them.
+    let explained = cross.t().dot(&pseudo_inverse(&gram)).dot(&cross);
+    let information = squares - explained[[0, 0]];
+    if information <= 1e-6 * squares {
+        return [0.0, f64::INFINITY];
+    }
+    [(product - explained[[0, 1]]) / information, information.powf(-0.5)]
 }
 
 /// Weighted sums over the pixels of a part of a scene, for a regression of what is left on the light.
@@ -151,5 +210,16 @@ mod tests {
         }
         // Without light nothing is known.
         assert_eq!(Sums::default().slope([0.0, 0.0])[0], 0.0);
+    }
+
+    #[test]
+    fn light_at_the_borders_is_no_light_of_the_scene() {
+        let image = |period: usize| Array2::from_shape_fn((20, 20), |(r, c)| ((r * 7 + c * 3) % period) as f32);
+        let (light, border, ones) = (image(11), image(5), Array2::ones((20, 20)));
+        let left = &light * 0.1 - &border * 0.5 + 2.0;
+        let [by, sigma] = slope_beside(&light, &[border.clone()], &left, &ones);
+        assert!((by - 0.1).abs() < 1e-6 && sigma > 0.0 && sigma < 0.1, "{by} {sigma}");
+        // All of its light is there.
+        assert_eq!(slope_beside(&light, &[border, light.clone()], &left, &ones)[1], f64::INFINITY);
     }
 }
