@@ -217,7 +217,7 @@ mod tests {
         let image = |period: usize| Array2::from_shape_fn((20, 20), |(r, c)| ((r * 7 + c * 3) % period) as f32);
         let (light, border, ones) = (image(11), image(5), Array2::ones((20, 20)));
         let left = &light * 0.1 - &border * 0.5 + 2.0;
-        let [by, sigma] = slope_beside(&light, &[border.clone()], &left, &ones);
+        let [by, sigma] = slope_beside(&light, std::slice::from_ref(&border), &left, &ones);
         assert!((by - 0.1).abs() < 1e-6 && sigma > 0.0 && sigma < 0.1, "{by} {sigma}");
         // All of its light is there.
         assert_eq!(slope_beside(&light, &[border, light.clone()], &left, &ones)[1], f64::INFINITY);
