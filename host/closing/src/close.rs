@@ -4,18 +4,18 @@ use super::account::{
     Account, Closed, Closing, Verdict, calibration_note, fault, pictured, quiet, registration_notes, registrations,
     within_calibration,
 };
-use super::again::again;
+use super::again::{Again, again};
 use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, unit_note};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
 use super::fit::{Model, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, refit, replicas};
 use super::options::{CloseError, CloseOptions};
-use super::records::{few_scenes_note, screened, wrong_records};
+use super::records::{few_scenes_note, refined, screened, wrong_records};
 use ommatidia_model::instrument::Instrument;
 
 /// Searches for the effects that an instrument lacks and adds them. Faults of the session's records are corrected in
 /// `seen`: those of objects before anything is fitted, those of exposures and of a lamp that flickers beside an effect
-/// only where no effect explains them. Calls `progress` with the name of each step that begins.
+/// only where what the search has found does not explain them. Calls `progress` with the name of each step that begins.
 ///
 /// # Errors
 /// The parts of the instrument disagree, an object holds negative light, or there is no frame.
@@ -51,7 +51,7 @@ fn close_with(
     Ok(closed)
 }
 
-/// One attempt with the records as they are, and further ones where something is left that the records may explain.
+/// One attempt with the records as they are, and further ones with what is wrong with the records beside what it found.
 fn attempts(
     instrument: &Instrument,
     seen: &mut Observations,
@@ -60,16 +60,21 @@ fn attempts(
 ) -> Result<Closed, CloseError> {
     estimate_specimens(instrument, seen);
     progress("records");
-    let [faults, doubted] = wrong_records(instrument, seen)?;
+    let (faults, doubted) = wrong_records(instrument, seen)?;
     let mut exclude = options.exclude.to_vec();
     if !doubted.is_empty() {
         // A curve over time would take a wrong exposure for its own.
         exclude.push("unknown_profile".into());
     }
-    match attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, progress)? {
-        Outcome::Ended(first) => again(instrument, seen, options, (faults, *first), progress),
-        Outcome::Misplaced(fault) => without_truths(instrument, seen, options, (faults, fault)),
-    }
+    let (faults, misplaced) =
+        match attempt(instrument, seen, options, Given { exclude: &exclude, faults: &faults }, progress)? {
+            Outcome::Misplaced(misplaced) => (faults, misplaced),
+            Outcome::Ended(first) => match again(instrument, seen, options, (faults, *first), progress)? {
+                Again::Closed(closed) => return Ok(*closed),
+                Again::Misplaced { faults, misplaced } => (faults, misplaced),
+            },
+        };
+    without_truths(instrument, seen, options, (faults, misplaced))
 }
 
 /// Leaves misplaced truths out, where the views agree without them, and judges the session as it is: a search would
@@ -101,9 +106,10 @@ pub fn residual(
     }
     let of_darks = screened(instrument, seen)?;
     estimate_specimens(instrument, seen);
-    let [mut faults, doubted] = wrong_records(instrument, seen)?;
-    exposures::correct_exposures(seen, &doubted);
-    faults.extend(doubted);
+    let (mut faults, doubted) = wrong_records(instrument, seen)?;
+    let wrong = refined(instrument, seen, None, doubted)?;
+    exposures::correct_exposures(seen, &wrong);
+    faults.extend(wrong.into_iter().map(|w| w.fault));
     let mut account = judged(instrument, seen, faults, options)?;
     let closing = &mut account.closing;
     closing.notes.splice(0..0, of_darks.into_iter().chain(unit_note(&closing.faults)));

@@ -2,6 +2,7 @@
 //! only doubted until a search has ended.
 
 use super::data::{Fault, Observations, Shown, leave_lit_darks_out, scaled_frames, unit_of_flats, unit_of_scenes};
+use super::fit::exposures::Wrong;
 use super::fit::{Model, State, exposures, flicker, orientation, pedestal, record, refit, scene_light, units};
 use super::options::CloseError;
 use ommatidia_model::instrument::Instrument;
@@ -33,7 +34,7 @@ fn looked(
     seen: &Observations,
     state: Option<&State>,
 ) -> Result<Option<Vec<record::Seen>>, CloseError> {
-    if seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_))).count() < 2 {
+    if known(seen).len() < 2 {
         return Ok(None);
     }
     let model = Model::new(instrument, seen)?;
@@ -42,7 +43,10 @@ fn looked(
 }
 
 /// Faults of the records: those of objects, which are corrected, and exposures, which are only doubted.
-pub(crate) fn wrong_records(instrument: &Instrument, seen: &mut Observations) -> Result<[Vec<Fault>; 2], CloseError> {
+pub(crate) fn wrong_records(
+    instrument: &Instrument,
+    seen: &mut Observations,
+) -> Result<(Vec<Fault>, Vec<Wrong>), CloseError> {
     let Some(mut frames) = looked(instrument, seen, None)? else { return Ok(Default::default()) };
     let noise = &instrument.noise;
     if let Some(other) = record::usual(&frames, noise.black_level_dn).and_then(|s| unit_of_scenes(seen, noise, s)) {
@@ -73,7 +77,7 @@ pub(crate) fn wrong_records(instrument: &Instrument, seen: &mut Observations) ->
     // All of them have their own light then.
     let doubted = if own_light.is_empty() { doubted(instrument, seen, &frames, None)? } else { Vec::new() };
     faults.extend(own_light);
-    Ok([faults, doubted])
+    Ok((faults, doubted))
 }
 
 /// Finds objects with a pedestal, and takes it from them.
@@ -110,26 +114,42 @@ fn doubted(
     seen: &Observations,
     frames: &[record::Seen],
     state: Option<&State>,
-) -> Result<Vec<Fault>, CloseError> {
-    let slopes: Vec<f64> = scene_light::slopes(frames).into_iter().map(|[slope, _]| slope).collect();
-    if !exposures::may_be_wrong(&slopes) {
+) -> Result<Vec<Wrong>, CloseError> {
+    let relative = exposures::by_regression(seen, frames);
+    if !exposures::may_be_wrong(&relative) {
         return Ok(Vec::new());
     }
     let model = Model::new(instrument, seen)?;
     let fit = refit(&model, state.cloned().map_or_else(|| model.state(instrument), Ok)?)?;
-    let light = scene_light::light(&model, &fit);
-    let beside_borders = |i: usize| scene_light::beside_borders(&model, &fit, frames[i].frame);
-    let mut found = exposures::exposures(seen, frames, &slopes, &light, beside_borders)?;
-    if !found.is_empty() {
-        let mut corrected = seen.clone();
-        exposures::correct_exposures(&mut corrected, &found);
-        let light = own_light_of(instrument, &corrected, state.cloned())?;
-        exposures::refine(seen, frames, &light, &mut found);
-    }
-    Ok(found)
+    let scenes: Vec<usize> = frames.iter().map(|s| s.frame).collect();
+    let light = scene_light::light(&model, &fit, &scenes);
+    let beside_borders = |i: usize| scene_light::beside_borders(&model, &fit, scenes[i]);
+    Ok(exposures::exposures(seen, frames, &relative, &light, beside_borders)?)
 }
 
-/// The light of each scene under a state, or that of the instrument, which is fitted.
+/// Wrong exposures with the factors that their frames show once they are corrected, under a state or that of the
+/// instrument.
+pub(crate) fn refined(
+    instrument: &Instrument,
+    seen: &Observations,
+    state: Option<&State>,
+    mut wrong: Vec<Wrong>,
+) -> Result<Vec<Wrong>, CloseError> {
+    if !wrong.is_empty() {
+        let mut corrected = seen.clone();
+        exposures::correct_exposures(&mut corrected, &wrong);
+        let light = own_light_of(instrument, &corrected, state.cloned())?;
+        exposures::refine(&mut wrong, &known(seen), &light);
+    }
+    Ok(wrong)
+}
+
+/// Indices of the scenes with known objects.
+fn known(seen: &Observations) -> Vec<usize> {
+    (0..seen.frames.len()).filter(|k| matches!(seen.frames[*k].shown, Shown::Object(_))).collect()
+}
+
+/// The light of each scene with a known object under a state, or that of the instrument, which is fitted.
 fn own_light_of(
     instrument: &Instrument,
     seen: &Observations,
@@ -137,19 +157,18 @@ fn own_light_of(
 ) -> Result<Vec<scene_light::Light>, CloseError> {
     let model = Model::new(instrument, seen)?;
     let state = state.map_or_else(|| model.state(instrument), Ok)?;
-    Ok(scene_light::light(&model, &refit(&model, state)?))
+    Ok(scene_light::light(&model, &refit(&model, state)?, &known(seen)))
 }
 
-/// As [`doubted`], of the frames as a state predicts them.
+/// As [`doubted`], of the frames as a state predicts them, with refined factors.
 pub(crate) fn doubted_under(
     instrument: &Instrument,
     seen: &Observations,
     state: &State,
-) -> Result<Vec<Fault>, CloseError> {
-    match looked(instrument, seen, Some(state))? {
-        Some(frames) => doubted(instrument, seen, &frames, Some(state)),
-        None => Ok(Vec::new()),
-    }
+) -> Result<Vec<Wrong>, CloseError> {
+    let Some(frames) = looked(instrument, seen, Some(state))? else { return Ok(Vec::new()) };
+    let found = doubted(instrument, seen, &frames, Some(state))?;
+    refined(instrument, seen, Some(state), found)
 }
 
 /// As [`flickering`], of the frames as a state predicts them.

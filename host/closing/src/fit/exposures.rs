@@ -5,16 +5,15 @@
 //! the pixels by their noise and knows what noise makes of it.
 
 use super::record::{Seen, correlation, median};
-use super::scene_light::{Light, logs, scatter};
-use crate::data::{Fault, FaultKind, Frame, Observations, Shown};
+use super::scene_light::{Light, logs, scatter, slopes};
+use crate::data::{Fault, FaultKind, Observations};
 use ommatidia_model::forward::ForwardError;
 
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
 /// A wrong exposure changes all parts of a frame alike: their mean factor differs from 1 by more than [`LIGHT`] as well,
-/// and by so many times its standard error by their scatter. Light that falls into a frame from
-/// elsewhere is not even.
+/// and by so many times its standard error by their scatter. Light that falls into a frame from elsewhere is not even.
 const EVEN: f64 = 4.0;
 /// Noise alone changes the light of a frame by less than so many standard deviations.
 const NOISE: f64 = 6.0;
@@ -23,38 +22,62 @@ const STANDS_OUT: f64 = 12.0;
 /// The regression of dim frames scatters by more than their light does: a fit is worth its time from so many times its
 /// scatter on.
 const MAY_STAND_OUT: f64 = 3.0;
+/// Blurred images, and a fit beside the light at the borders of an object, show more than this share of the factor.
+const MOST: f64 = 0.5;
+/// A scene that is dark is as dark as this, relative to its prediction.
+const DARK: f64 = -0.99;
+
+/// Number of scenes of a stack that it takes to say which of them differs from the others.
+const SCENES: usize = 4;
+
+/// A wrong exposure.
+pub(crate) struct Wrong {
+    /// Index of the frame: its number alone names one in each stack.
+    pub(crate) index: usize,
+    pub(crate) fault: Fault,
+}
+
+/// Light of scenes by a regression of images, each relative to the median of its stack: a stack may have a lamp of its
+/// own.
+pub(crate) fn by_regression(seen: &Observations, frames: &[Seen]) -> Vec<f64> {
+    let slopes: Vec<f64> = slopes(frames).into_iter().map(|[slope, _]| slope).collect();
+    let stack = |i: usize| seen.frames[frames[i].frame].stack;
+    let usual = |i: usize| median((0..slopes.len()).filter(|j| stack(*j) == stack(i)).map(|j| slopes[j]).collect());
+    (0..slopes.len()).map(|i| slopes[i] / usual(i).filter(|v| *v > 0.0).unwrap_or(f64::NAN)).collect()
+}
 
 /// Whether a scene's light may differ from that of the others by a factor of its own, so that it is worth a fit to find
-/// out. `slopes` are those of a regression of images.
-pub(crate) fn may_be_wrong(slopes: &[f64]) -> bool {
-    let usual = median(slopes.to_vec()).unwrap_or(0.0);
-    let by: Vec<f64> = slopes.iter().map(|v| (v / usual - 1.0).abs()).collect();
+/// out. `relative` is [`by_regression`].
+pub(crate) fn may_be_wrong(relative: &[f64]) -> bool {
+    let by: Vec<f64> = relative.iter().filter(|v| v.is_finite()).map(|v| (v - 1.0).abs()).collect();
     let least = LIGHT.max(MAY_STAND_OUT * scatter(&by));
-    tracing::debug!("light of frames by regression, beside their median: {by:.3?}");
-    by.len() >= 4 && usual > 0.0 && by.iter().any(|v| *v > least)
+    tracing::debug!("light of scenes by regression, beside their median: {by:.3?}");
+    by.len() >= SCENES && by.iter().any(|v| *v > least)
 }
 
 /// Finds scenes whose light differs from that of the others by a factor of their own, under a fit and in a regression of
-/// images. An effect that the model lacks may do that as well, so nothing is corrected yet. `frames`, `slopes` and
-/// `light` are of the same scenes; `beside_borders` gives the light of one of them beside that of the borders of its
-/// object ([`super::scene_light::beside_borders`]), which a record loses or doubles where it is displaced.
+/// images. An effect that the model lacks may do that as well, so nothing is corrected yet. `frames`, `relative`
+/// ([`by_regression`]) and `light` are of the same scenes; `beside_borders` gives the light of one of them beside that
+/// of the borders of its object ([`super::scene_light::beside_borders`]), which a record loses or doubles where it is
+/// displaced.
 ///
 /// # Errors
 /// `beside_borders` fails.
 pub(crate) fn exposures(
     seen: &Observations,
     frames: &[Seen],
-    slopes: &[f64],
+    relative: &[f64],
     light: &[Light],
     beside_borders: impl Fn(usize) -> Result<[f64; 2], ForwardError>,
-) -> Result<Vec<Fault>, ForwardError> {
-    if frames.len() != light.len() || light.len() < 4 || light.iter().any(|l| l.by <= -1.0) {
-        return Ok(Vec::new());
-    }
-    let all: Vec<f64> = light.iter().map(|l| l.by.ln_1p()).collect();
+) -> Result<Vec<Wrong>, ForwardError> {
+    let of_stack = |i: usize| {
+        let stack = |s: &Seen| seen.frames[s.frame].stack;
+        frames.iter().filter(|s| stack(s) == stack(&frames[i])).count()
+    };
+    let log_of = |by: f64| by.max(DARK).ln_1p();
+    let all: Vec<f64> = light.iter().map(|l| log_of(l.by)).collect();
     let usual_log = median(all.clone()).unwrap_or(0.0);
     let logs: Vec<f64> = all.iter().map(|log| log - usual_log).collect();
-    let usual = median(slopes.to_vec()).unwrap_or(1.0);
     let parts: Vec<Parts<'_>> = light.iter().map(|l| Parts(&l.parts)).collect();
     // Noise alone makes the median difference two thirds of a standard error, and of few frames up to all of it.
     let by_noise = median(light.iter().map(|l| l.sigma).collect()).unwrap_or(0.0);
@@ -68,8 +91,8 @@ pub(crate) fn exposures(
     // something else.
     let left: Vec<f64> = light.iter().map(|l| l.excess - l.fall()).collect();
     let usually_left = median(left.clone()).unwrap_or(0.0);
-    let noise = NOISE * (2.0 * seen.pixels.len() as f64).sqrt();
-    let mut faults = Vec::new();
+    let noise = NOISE * (2.0 * (seen.sensor[0] * seen.sensor[1]) as f64).sqrt();
+    let mut wrong = Vec::new();
     for (i, s) in frames.iter().enumerate() {
         let [even, error] = parts[i].factor(&parts);
         let frame = seen.frames[s.frame].info.frame;
@@ -83,29 +106,33 @@ pub(crate) fn exposures(
         let factor = logs[i].exp();
         let is_even = (even - 1.0).abs() > LIGHT.max(EVEN * error);
         // Sources that are out of place seem darker in a fit, and not in images that are blurred.
-        let is_in_place = (slopes[i] / usual - 1.0) / (factor - 1.0) > 0.5;
-        if !is_even || !is_in_place || left[i] > usually_left + noise + light[i].fall() {
+        let is_in_place = (relative[i] - 1.0) / (factor - 1.0) > MOST;
+        let holds_more = left[i] > usually_left + noise + light[i].fall();
+        if of_stack(i) < SCENES || !is_even || !is_in_place || holds_more {
             continue;
         }
         let [by, sigma] = beside_borders(i)?;
-        let log = by.max(-0.99).ln_1p() - usual_log;
+        let log = log_of(by) - usual_log;
         tracing::debug!("beside the borders of its object: {log:+.4} +- {sigma:.4}");
-        if log * logs[i] > 0.0 && stands_out(log, sigma).is_some() {
+        if log / logs[i] > MOST && stands_out(log, sigma).is_some() {
             let r = correlation(&s.measured, &s.own);
             let kind = FaultKind::Exposure { factor };
-            faults.push(Fault { frame, kind, z, correlation_before: r, correlation_after: r });
+            let fault = Fault { frame, kind, z, correlation_before: r, correlation_after: r };
+            wrong.push(Wrong { index: s.frame, fault });
         }
     }
-    Ok(faults)
+    Ok(wrong)
 }
 
-/// Refines the factors of faults by the light of the scenes once they are corrected. Before, the pixels that saturate are
-/// taken from a prediction with the wrong light, so that those of a frame that is too bright count as they are cut off.
-pub(crate) fn refine(seen: &Observations, frames: &[Seen], light: &[Light], faults: &mut [Fault]) {
-    for (s, log) in frames.iter().zip(logs(light)) {
-        let frame = seen.frames[s.frame].info.frame;
-        for fault in faults.iter_mut().filter(|f| f.frame == frame) {
-            if let FaultKind::Exposure { factor } = &mut fault.kind {
+/// Refines the factors of wrong exposures by the light of the scenes once they are corrected. Before, the pixels that
+/// saturate are taken from a prediction with the wrong light, so that those of a frame that is too bright count as they
+/// are cut off.
+///
+/// `light` is that of the scenes whose indices among the frames are given.
+pub(crate) fn refine(wrong: &mut [Wrong], scenes: &[usize], light: &[Light]) {
+    for (k, log) in scenes.iter().zip(logs(light)) {
+        for w in wrong.iter_mut().filter(|w| w.index == *k) {
+            if let FaultKind::Exposure { factor } = &mut w.fault.kind {
                 *factor *= log.exp();
             }
         }
@@ -134,19 +161,20 @@ impl Parts<'_> {
 }
 
 /// Corrects the recorded exposures of scenes.
-pub fn correct_exposures(seen: &mut Observations, faults: &[Fault]) {
-    for fault in faults {
-        let FaultKind::Exposure { factor } = fault.kind else { continue };
-        let of = |f: &&mut Frame| f.info.frame == fault.frame && matches!(f.shown, Shown::Object(_));
-        seen.frames.iter_mut().filter(of).for_each(|f| f.info.exposure_ms *= factor);
+pub(crate) fn correct_exposures(seen: &mut Observations, wrong: &[Wrong]) {
+    for w in wrong {
+        if let FaultKind::Exposure { factor } = w.fault.kind {
+            seen.frames[w.index].info.exposure_ms *= factor;
+        }
     }
 }
 
 #[cfg(test)]
 pub(super) mod tests {
     #![allow(clippy::unwrap_used)]
-    use super::super::scene_light::{self, PARTS};
+    use super::super::scene_light::PARTS;
     use super::*;
+    use crate::data::{Frame, Shown};
     use ndarray::Array2;
     use ommatidia_session::{FrameInfo, Role};
 
@@ -201,17 +229,14 @@ pub(super) mod tests {
     /// Faults of scenes with noise of 1 DN a pixel, by the light of each beside its own record.
     fn faults(observations: &Observations, seen: &[Seen]) -> Vec<Fault> {
         let light = |s: &Seen| Light::of(&s.own, &(&s.measured - &s.own), &Array2::ones(s.own.dim()));
-        let light: Vec<Light> = seen.iter().map(light).collect();
-        of(observations, seen, &light)
+        of(observations, seen, &seen.iter().map(light).collect::<Vec<_>>())
     }
 
     /// Faults of scenes whose objects have no light at their borders.
     fn of(observations: &Observations, seen: &[Seen], light: &[Light]) -> Vec<Fault> {
-        exposures(observations, seen, &slopes(seen), light, |i| Ok([light[i].by, light[i].sigma])).unwrap()
-    }
-
-    fn slopes(seen: &[Seen]) -> Vec<f64> {
-        scene_light::slopes(seen).into_iter().map(|[slope, _]| slope).collect()
+        let relative = by_regression(observations, seen);
+        let wrong = exposures(observations, seen, &relative, light, |i| Ok([light[i].by, light[i].sigma])).unwrap();
+        wrong.into_iter().map(|w| w.fault).collect()
     }
 
     /// The light of six dim scenes with a standard error of `sigma`, of which the third has `factor` times its own.
@@ -239,9 +264,9 @@ pub(super) mod tests {
         };
         assert!((factor - 1.25).abs() < 0.04 && z > NOISE, "{factor} {z}");
         // What the corrected scenes still show is a factor of its own.
-        let mut refined = faults.clone();
-        refine(&observations, &seen, &of_light(0.0, 1.02, 0.0), &mut refined);
-        let FaultKind::Exposure { factor: after } = refined[0].kind else { panic!("{refined:?}") };
+        let mut refined = [Wrong { index: 2, fault: faults[0].clone() }];
+        refine(&mut refined, &[0, 1, 2, 3, 4, 5], &of_light(0.0, 1.02, 0.0));
+        let FaultKind::Exposure { factor: after } = refined[0].fault.kind else { panic!() };
         assert!((after / factor - 1.02).abs() < 1e-9, "{after}");
         // Of the size of the noise; small, however certain; and not the only thing that is wrong with the scene.
         assert!(found(&of_light(0.025, 1.08, 0.0)).is_empty());
@@ -252,8 +277,9 @@ pub(super) mod tests {
         assert!(of(&observations, &even, &of_light(0.025, 1.25, 0.0)).is_empty());
         // Beside the light at the borders of its object it has no factor, or nothing else says so.
         let light = of_light(0.025, 1.25, 0.0);
-        for beside in [[0.02, 0.03], [0.25, 0.05], [-0.25, 0.02]] {
-            assert!(exposures(&observations, &seen, &slopes(&seen), &light, |_| Ok(beside)).unwrap().is_empty());
+        let relative = by_regression(&observations, &seen);
+        for beside in [[0.1, 0.01], [0.25, 0.05], [-0.25, 0.02]] {
+            assert!(exposures(&observations, &seen, &relative, &light, |_| Ok(beside)).unwrap().is_empty());
         }
     }
 
@@ -262,7 +288,7 @@ pub(super) mod tests {
         let (observations, mut seen) = scenes(0.0, |_| 1.0);
         // Of the frame of 21 sources the object misses those of one side.
         seen[2].own.slice_mut(ndarray::s![.., ..40]).fill(0.0);
-        let [slope, r] = scene_light::slopes(&seen)[2];
+        let [slope, r] = slopes(&seen)[2];
         assert!((slope - 1.0).abs() > LIGHT && r < 0.97, "{slope} {r}");
         assert!(faults(&observations, &seen).is_empty());
     }
@@ -276,7 +302,7 @@ pub(super) mod tests {
         let mean = own.mean().unwrap();
         seen[2].measured = Array2::from_shape_fn((96, 96), |(r, c)| own[[r, c]] + 0.2 * mean * c as f32 / 48.0);
         seen[2].own = own;
-        let [slope, r] = scene_light::slopes(&seen)[2];
+        let [slope, r] = slopes(&seen)[2];
         assert!(slope > 1.0 + LIGHT && r > 0.99, "{slope} {r}");
         assert!(faults(&observations, &seen).is_empty(), "{slope} {r}");
     }
@@ -292,5 +318,23 @@ pub(super) mod tests {
         let found = faults(&observations, &seen);
         let [Fault { frame: 2, kind: FaultKind::Exposure { factor }, .. }] = found[..] else { panic!("{found:?}") };
         assert!((factor - 1.5).abs() < 0.001, "{factor}");
+    }
+
+    #[test]
+    fn each_stack_has_a_lamp_of_its_own() {
+        let (mut observations, seen) = scenes(0.0, |k| if k < 4 { 1.0 } else { 1.5 });
+        assert!(may_be_wrong(&by_regression(&observations, &seen)));
+        for frame in &mut observations.frames[4..] {
+            (frame.stack, frame.info.frame) = (1, frame.info.frame - 4);
+        }
+        assert!(!may_be_wrong(&by_regression(&observations, &seen)));
+        // Two scenes do not say which of them is wrong, and a frame's number is that of one in each stack.
+        let (_, seen) = scenes(0.0, |k| if k == 5 { 1.25 } else { 1.0 });
+        assert!(faults(&observations, &seen).is_empty());
+        let (_, seen) = scenes(0.0, |k| if k == 1 { 1.25 } else { 1.0 });
+        let [fault] = &faults(&observations, &seen)[..] else { panic!() };
+        correct_exposures(&mut observations, &[Wrong { index: 1, fault: fault.clone() }]);
+        let exposures_ms: Vec<f64> = observations.frames.iter().map(|f| f.info.exposure_ms).collect();
+        assert!((exposures_ms[1] - 12.5).abs() < 0.01 && exposures_ms[5] == 10.0, "{exposures_ms:?}");
     }
 }

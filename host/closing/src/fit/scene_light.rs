@@ -12,6 +12,9 @@ use rayon::prelude::*;
 
 /// A scene that correlates with its prediction by less has no light relative to it.
 pub(super) const ALIKE: f64 = 0.8;
+/// Share of the variance of a scene's light that must be elsewhere than in the light of its borders, which errors of the
+/// PSFs do not let apart to the last.
+const ELSEWHERE: f64 = 0.1;
 /// Number of parts of a frame along each side.
 pub(super) const PARTS: usize = 3;
 
@@ -57,19 +60,20 @@ impl Light {
     }
 }
 
-/// The light of each of the scenes with known objects under a fit. The regression of a scene's residual on its predicted
-/// light has an intercept: the black level that all of them share errs where the light of one is wrong.
-pub(crate) fn light(model: &Model<'_>, fit: &Fitted) -> Vec<Light> {
+/// The light of scenes under a fit, whose indices among the frames are given. The regression of a scene's residual on
+/// its predicted light has an intercept: the black level that all of them share errs where the light of one is wrong.
+pub(crate) fn light(model: &Model<'_>, fit: &Fitted, scenes: &[usize]) -> Vec<Light> {
     let black_dn = (model.forward.noise().black_level_dn + fit.state.black_dn) as f32;
-    let scenes = model.seen.frames.iter().zip(&fit.predicted).filter(|(f, _)| matches!(f.shown, Shown::Object(_)));
-    scenes
-        .map(|(_, here)| Light::of(&here.dn.mapv(|dn| dn - black_dn), &here.residual_dn, &here.inverse_sigma))
-        .collect()
+    let of = |k: &usize| {
+        let here = &fit.predicted[*k];
+        Light::of(&here.dn.mapv(|dn| dn - black_dn), &here.residual_dn, &here.inverse_sigma)
+    };
+    scenes.iter().map(of).collect()
 }
 
 /// The light of frame `k`, a scene with a known object, over that of its prediction under a fit, and its standard error,
 /// beside the light of the first and the last row and column of its object: a record that is displaced by up to a pixel
-/// loses or doubles that. An object that has no other light says nothing: the error is infinite.
+/// loses or doubles that. An object that has hardly any other light says nothing: the error is infinite.
 ///
 /// # Errors
 /// The parts of the instrument disagree.
@@ -78,13 +82,12 @@ pub(crate) fn beside_borders(model: &Model<'_>, fit: &Fitted, k: usize) -> Resul
     let object = &model.seen.truths[truth];
     let (rows, cols) = object.dim();
     let chain = model.chain(&fit.state.terms);
-    let cx = model.context(k, None);
     let lines = [(Axis(0), 0), (Axis(0), rows - 1), (Axis(1), 0), (Axis(1), cols - 1)];
     let of_line = |(axis, at)| {
         let mut line = Array2::<f32>::zeros(object.dim());
         line.index_axis_mut(axis, at).assign(&object.index_axis(axis, at));
-        let scene = model.forward.scene(line.view(), &chain, &cx)?;
-        Ok(model.forward.light_e(&scene, &chain, &cx))
+        let scene = model.scene_of(k, &line, &chain)?;
+        Ok(model.sum_e(k, Some(&scene), (&chain, &fit.state), 1.0))
     };
     let borders: Vec<Array2<f32>> = lines.into_iter().map(of_line).collect::<Result<_, ForwardError>>()?;
     let here = &fit.predicted[k];
@@ -118,7 +121,8 @@ fn slope_beside(
     // What the others explain of both is taken from them.
     let explained = cross.t().dot(&pseudo_inverse(&gram)).dot(&cross);
     let information = squares - explained[[0, 0]];
-    if information <= 1e-6 * squares {
+    let varies = squares - cross[[n - 1, 0]].powi(2) / gram[[n - 1, n - 1]].max(f64::MIN_POSITIVE);
+    if information <= ELSEWHERE * varies {
         return [0.0, f64::INFINITY];
     }
     [(product - explained[[0, 1]]) / information, information.powf(-0.5)]
