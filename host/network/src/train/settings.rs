@@ -181,7 +181,7 @@ pub enum Preset {
     /// Between the two; trains for about an hour on a workstation.
     Lite,
     /// For the best pictures: `nano` with two passes. Needs the instrument, trains for half an hour on two cores, and
-    /// takes three times the memory of `nano` on a device.
+    /// takes 1.5 times the memory and 2.6 times the instructions of `nano` on a device.
     Host,
     /// The network of the paper: nine filters, 0.18 M parameters after them, random start, learning rate 5e-5.
     Paper,
