@@ -1,7 +1,7 @@
 //! Further attempts: after a search, the records are doubted once more.
 //!
-//! A strong effect hides a wrong exposure and a lamp that flickers until it is found, and an effect that the model lacks
-//! may look like them. So each correction of the records has an attempt of its own after the first one.
+//! A strong effect hides a wrong exposure and a lamp that flickers until it is found, and an effect that the model
+//! lacks may look like them. So each correction of the records has an attempt of its own after the first one.
 
 use super::account::Closed;
 use super::attempt::{Attempt, Given, Outcome, attempt};
@@ -139,36 +139,14 @@ impl Recorded {
 
 #[cfg(test)]
 mod tests {
-    #![allow(clippy::unwrap_used)]
     use super::*;
     use crate::data::Frame;
-    use crate::fit::exposures::Wrong;
+    use crate::fit::exposures::{Wrong, tests::scenes};
     use ndarray::Array2;
-    use ommatidia_session::{FrameInfo, Role};
 
     #[test]
     fn corrections_that_do_not_count_leave_no_trace() {
-        let frame = |k: usize| Frame {
-            stack: 0,
-            role: Role::Scene,
-            info: FrameInfo::plain(k, 10.0),
-            measured: Array2::zeros((1, 1)),
-            cut: None,
-            shown: Shown::Object(k),
-            held_out: false,
-            previous: None,
-        };
-        let before = Observations {
-            frames: (0..4).map(frame).collect(),
-            truths: vec![Array2::ones((8, 8)); 4],
-            registrations: Vec::new(),
-            pixels: Vec::new(),
-            blocks: Vec::new(),
-            held_out_blocks: Vec::new(),
-            sensor: [1, 1],
-            recorded: 0,
-            not_estimated: None,
-        };
+        let (before, _) = scenes(0.0, |_| 1.0);
         let mut seen = before.clone();
         let recorded = Recorded::of(&seen);
         let kind = FaultKind::Exposure { factor: 1.25 };
@@ -176,7 +154,7 @@ mod tests {
         exposures::correct_exposures(&mut seen, &[Wrong { index: 2, fault: wrong }]);
         assert_eq!(seen.frames[2].info.exposure_ms, 12.5);
         seen.truths.push(Array2::zeros((8, 8)));
-        seen.frames[1].shown = Shown::Object(4);
+        seen.frames[1].shown = Shown::Object(before.truths.len());
         recorded.restore(&mut seen);
         let is_as_before =
             |f: &Frame| f.info.exposure_ms == 10.0 && matches!(f.shown, Shown::Object(k) if k == f.info.frame);

@@ -12,8 +12,9 @@ use ommatidia_model::forward::ForwardError;
 /// An exposure is doubted if the light of its frame differs from the others by more than this share, and by much more
 /// than their scatter.
 const LIGHT: f64 = 0.04;
-/// A wrong exposure changes all parts of a frame alike: their mean factor differs from 1 by more than [`LIGHT`] as well,
-/// and by so many times its standard error by their scatter. Light that falls into a frame from elsewhere is not even.
+/// A wrong exposure changes all parts of a frame alike: their mean factor differs from 1 by more than [`LIGHT`] as
+/// well, and by so many times its standard error by their scatter. Light that falls into a frame from elsewhere is not
+/// even.
 const EVEN: f64 = 4.0;
 /// Noise alone changes the light of a frame by less than so many standard deviations.
 const NOISE: f64 = 6.0;
@@ -55,8 +56,8 @@ pub(crate) fn may_be_wrong(relative: &[f64]) -> bool {
     by.len() >= SCENES && by.iter().any(|v| *v > least)
 }
 
-/// Finds scenes whose light differs from that of the others by a factor of their own, under a fit and in a regression of
-/// images. An effect that the model lacks may do that as well, so nothing is corrected yet. `frames`, `relative`
+/// Finds scenes whose light differs from that of the others by a factor of their own, under a fit and in a regression
+/// of images. An effect that the model lacks may do that as well, so nothing is corrected yet. `frames`, `relative`
 /// ([`by_regression`]) and `light` are of the same scenes; `beside_borders` gives the light of one of them beside that
 /// of the borders of its object ([`super::scene_light::beside_borders`]), which a record loses or doubles where it is
 /// displaced.
@@ -170,7 +171,7 @@ pub(crate) fn correct_exposures(seen: &mut Observations, wrong: &[Wrong]) {
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     #![allow(clippy::unwrap_used)]
     use super::super::scene_light::PARTS;
     use super::*;
@@ -191,7 +192,7 @@ pub(super) mod tests {
     }
 
     /// Six scenes whose light is `factor` of each times what their records say.
-    pub(in crate::fit) fn scenes(moved_px: f64, factor: impl Fn(usize) -> f32) -> (Observations, Vec<Seen>) {
+    pub(crate) fn scenes(moved_px: f64, factor: impl Fn(usize) -> f32) -> (Observations, Vec<Seen>) {
         let seen = |k: usize| {
             let light = factor(k);
             Seen {

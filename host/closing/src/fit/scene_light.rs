@@ -12,8 +12,8 @@ use rayon::prelude::*;
 
 /// A scene that correlates with its prediction by less has no light relative to it.
 pub(super) const ALIKE: f64 = 0.8;
-/// Share of the variance of a scene's light that must be elsewhere than in the light of its borders, which errors of the
-/// PSFs do not let apart to the last.
+/// Share of the variance of a scene's light that must be elsewhere than in the light of its borders. With less, errors
+/// of the PSFs are taken for light of the scene.
 const ELSEWHERE: f64 = 0.1;
 /// Number of parts of a frame along each side.
 pub(super) const PARTS: usize = 3;
@@ -71,9 +71,9 @@ pub(crate) fn light(model: &Model<'_>, fit: &Fitted, scenes: &[usize]) -> Vec<Li
     scenes.iter().map(of).collect()
 }
 
-/// The light of frame `k`, a scene with a known object, over that of its prediction under a fit, and its standard error,
-/// beside the light of the first and the last row and column of its object: a record that is displaced by up to a pixel
-/// loses or doubles that. An object that has hardly any other light says nothing: the error is infinite.
+/// The light of frame `k`, a scene with a known object, over that of its prediction under a fit, and its standard
+/// error, beside the light of the first and the last row and column of its object: a record that is displaced by up to
+/// a pixel loses or doubles that. An object that has hardly any other light says nothing: the error is infinite.
 ///
 /// # Errors
 /// The parts of the instrument disagree.

@@ -81,8 +81,8 @@ fn a_response_that_rises_over_the_sensor_is_no_gain_of_lenses() {
     assert_eq!(names(&closed(&Session::open(&dir).unwrap())), ["lens_gain"]);
 }
 
-/// Errors of the calibration could leave as much in all frames together: they do not change the light of one frame. Under
-/// a strong effect the light of all frames scatters.
+/// Errors of the calibration could leave as much in all frames together: they do not change the light of one frame.
+/// Under a strong effect the light of all frames scatters.
 #[test]
 fn an_exposure_that_is_a_tenth_too_long_is_found_also_beside_a_strong_effect() {
     let folder = tempfile::tempdir().unwrap();

@@ -41,11 +41,12 @@ pub struct Run {
 /// Scale of reconstructions, for the metadata of an OME-TIFF or OME-Zarr.
 #[derive(Clone, Copy, Debug, Args)]
 pub(super) struct ResultScale {
-    /// Side of an object pixel, um, for the metadata of the result [default: that of the instrument, if there
-    /// is one; networks do not know it]
+    /// Side of an object pixel, um, for the metadata of the result [default: that of the instrument, if there is one;
+    /// networks do not know it]
     #[arg(long, value_name = "UM", value_parser = positive)]
     pub pixel_um: Option<f64>,
-    /// Time between raw frames, s, for the metadata of the result [default: as the recording says; of a stream 1 / --fps]
+    /// Time between raw frames, s, for the metadata of the result [default: as the recording says; of a stream 1 /
+    /// --fps]
     #[arg(long, value_name = "S", value_parser = positive)]
     pub interval_s: Option<f64>,
 }

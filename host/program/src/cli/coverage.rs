@@ -33,8 +33,8 @@ pub struct Args {
     /// Number of virtual scenes
     #[arg(long, value_name = "N", default_value_t = 840)]
     count: usize,
-    /// Kind of specimen, or several with commas between them (default: beads, cells, neurons, vessels, worms, target and
-    /// section)
+    /// Kind of specimen, or several with commas between them (default: beads, cells, neurons, vessels, worms, target
+    /// and section)
     #[arg(long, value_name = "KIND", value_delimiter = ',')]
     specimen: Vec<Specimen>,
     /// Effect that the virtual frames have and the instrument does not, such as halo=0.05; repeat the option for more

@@ -41,8 +41,8 @@ pub struct Args {
     /// Number of scenes that look alike from which the limits of one frame are taken
     #[arg(long, value_name = "N", default_value_t = CalibrateWidths::default().neighbours)]
     neighbours: usize,
-    /// Kind of specimen, or several with commas between them (default: beads, cells, neurons, vessels, worms, target and
-    /// section)
+    /// Kind of specimen, or several with commas between them (default: beads, cells, neurons, vessels, worms, target
+    /// and section)
     #[arg(long, value_name = "KIND", value_delimiter = ',')]
     specimen: Vec<Specimen>,
     /// Signal of the brightest pixel of a frame, electrons, drawn between LOW and HIGH (default: 100 to 20,000, at most
