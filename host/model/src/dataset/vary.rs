@@ -29,8 +29,8 @@ impl Vary {
     pub fn of(largest: &[EffectSetting], layout: Layout) -> Result<Self, DataSetError> {
         for setting in largest {
             if Chain::build(std::slice::from_ref(setting), layout)?.is_empty() {
-                let found = format!("`{}` without one", setting.id);
-                return Err(DataSetError::Config { field: "vary", expected: "a largest strength", found });
+                let expected = "a largest strength that changes the frames";
+                return Err(DataSetError::Config { field: "vary", expected, found: setting.to_string() });
             }
             let stage = find(&setting.id).map_or(Stage::Record, |effect| effect.descriptor().stage);
             if stage >= Stage::Charge {

@@ -46,7 +46,7 @@ fn passes_and_arenas_that_cannot_be() {
                 "Training pairs with an effect of no strength",
                 "train instrument -o new --vary array_shift=0 --steps 2",
             )
-            .says(&["vary", "largest strength", "array_shift"]),
+            .says(&["vary", "largest strength", "array_shift=0"]),
             Mistake::new("A network of two passes in integers", "quantize two -o two.omm --weights int8")
                 .with(two_passes)
                 .says(&["2 passes", "one pass for integers", "leave --weights"]),

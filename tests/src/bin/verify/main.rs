@@ -7,14 +7,13 @@
 //! `cargo verify TEXT...` runs only the steps whose names contain one of the texts, which is no proof of anything: it
 //! is for work on that step.
 
-mod beside;
 mod counts;
 mod disk;
 mod python;
+mod queue;
 mod steps;
 mod toolchain;
 
-use beside::Beside;
 use counts::Counts;
 use std::process::ExitCode;
 use steps::Step;
@@ -23,10 +22,7 @@ fn main() -> ExitCode {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
     let total = match wanted.as_slice() {
         [] => everything(),
-        [flag, round] if flag == beside::FLAG => {
-            let round = round.parse().ok().and_then(|n| steps::all().into_iter().nth(n));
-            run(round.into_iter().flat_map(|r| r.beside))
-        }
+        [flag, name] if flag == queue::FLAG => run(steps::rest().into_iter().filter(|step| step.name == name)),
         texts => match only(texts) {
             Some(total) => total,
             None => return ExitCode::FAILURE,
@@ -38,7 +34,6 @@ fn main() -> ExitCode {
 
 /// All steps.
 fn everything() -> Counts {
-    let mut total = Counts::default();
     let program = match std::env::current_exe() {
         Ok(program) => program,
         Err(error) => {
@@ -46,18 +41,15 @@ fn everything() -> Counts {
             return Counts::check(false);
         }
     };
-    for (number, round) in steps::all().into_iter().enumerate() {
-        let beside = (!round.beside.is_empty()).then(|| Beside::start(&program, number, &round.beside));
-        total += run(round.front);
-        total += beside.map_or_else(Counts::default, Beside::finish);
-    }
+    let mut total = run(steps::first());
+    total += queue::run(&program, steps::rest());
     total
 }
 
 /// The steps whose names contain one of some texts. None: there is none.
 fn only(texts: &[String]) -> Option<Counts> {
     let is_wanted = |step: &Step| texts.iter().any(|text| step.name.contains(text.as_str()));
-    let all = steps::all().into_iter().flat_map(|round| round.into_steps());
+    let all = steps::first().into_iter().chain(steps::rest());
     let (wanted, others): (Vec<_>, Vec<_>) = all.partition(is_wanted);
     let others: Vec<_> = others.iter().map(|s| s.name).collect();
     if wanted.is_empty() {

@@ -15,62 +15,46 @@ const FUZZ_SECONDS: u32 = 8;
 /// One step: it either counts tests or is one check.
 pub struct Step {
     pub name: &'static str,
+    /// The names of the steps that must have ended before this one begins.
+    pub after: &'static [&'static str],
     pub run: fn() -> Result<Counts>,
 }
 
-/// Steps that run at the same time: one after the other in the foreground, and those of the second list one after the
-/// other beside them. A compiler that optimises a large crate as one unit, and a test under the emulator, use one
-/// processor each.
-pub struct Round {
-    pub front: Vec<Step>,
-    pub beside: Vec<Step>,
-}
-
-impl Round {
-    /// All steps, those in the foreground first.
-    pub fn into_steps(self) -> impl Iterator<Item = Step> {
-        self.front.into_iter().chain(self.beside)
-    }
-}
-
-/// All rounds in order. Each needs what the rounds before it have built; nothing but the first installs tools with the
-/// package manager of the system, but for Python.
-pub fn all() -> Vec<Round> {
-    let step = |name, run| Step { name, run };
+/// What runs alone, before everything else: whether there is room, and the tools.
+pub fn first() -> Vec<Step> {
+    let step = |name, run| Step { name, after: &[], run };
     vec![
-        Round {
-            front: vec![
-                step("disk space", || disk::has_room(&toolchain::target_dir()).map(|()| Counts::check(true))),
-                step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
-                step("tools", || toolchain::ensure_all().map(|()| Counts::check(true))),
-            ],
-            beside: Vec::new(),
-        },
-        Round {
-            front: vec![step("build of all tests", || check(cargo(["test", "--release", "--workspace", "--no-run"])))],
-            beside: vec![
-                step("firmware images", firmware_images),
-                step("tests of shared with overflow checks, 32-bit program", narrow_tests),
-                step("tests of shared with overflow checks, AArch64, emulated", aarch64_tests),
-                step("shared on other cores", other_cores),
-            ],
-        },
-        Round {
-            front: vec![
-                step("all tests", || tests(&["--release", "--workspace"])),
-                step("Python package", python::package),
-            ],
-            // The first two have a target folder of their own: the tests need that of the others when they begin.
-            beside: vec![
-                step("hostile input", hostile_input),
-                step("hostile input, 32-bit program", narrow_hostile_input),
-                step("lints of the boards", lints_of_boards),
-                step("lints", || {
-                    check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))
-                }),
-                step("documentation", documentation),
-            ],
-        },
+        step("disk space", || disk::has_room(&toolchain::target_dir()).map(|()| Counts::check(true))),
+        step("formatting", || check(cargo(["fmt", "--all", "--check"]))),
+        step("tools", || toolchain::ensure_all().map(|()| Counts::check(true))),
+    ]
+}
+
+/// What follows. The first step that can begin is taken, so that the longest ones stand in front. Nothing here installs
+/// tools with the package manager of the system, but for Python. A step that builds in a target folder in which another
+/// one builds waits for it: what needs the folder of the tests comes after their build.
+pub fn rest() -> Vec<Step> {
+    const BUILD: &str = "build of all tests";
+    const IMAGES: &str = "firmware images";
+    const HOSTILE: &str = "hostile input";
+    let step = |name, after, run| Step { name, after, run };
+    vec![
+        step(BUILD, &[], || check(cargo(["test", "--release", "--workspace", "--no-run"]))),
+        step(IMAGES, &[], firmware_images),
+        step("integration tests", &[BUILD, IMAGES], || tests(&["--test", "*"])),
+        step("tests of shared with overflow checks, 32-bit program", &[], narrow_tests),
+        step("tests of shared with overflow checks, AArch64, emulated", &[], aarch64_tests),
+        step("shared on other cores", &[], other_cores),
+        step(HOSTILE, &[], hostile_input),
+        step("hostile input, 32-bit program", &[HOSTILE], narrow_hostile_input),
+        step("lints of the boards", &[IMAGES], lints_of_boards),
+        step("unit tests", &[BUILD], || tests(&["--lib", "--bins"])),
+        step("examples in the documentation", &[BUILD], || tests(&["--doc"])),
+        step("Python package", &[BUILD], python::package),
+        step("lints", &[BUILD], || {
+            check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))
+        }),
+        step("documentation", &[BUILD], documentation),
     ]
 }
 
@@ -162,7 +146,7 @@ fn hostile_input() -> Result<Counts> {
 fn narrow_tests() -> Result<Counts> {
     let mut command = toolchain::linux(toolchain::NARROW)?;
     command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
-    command.args(["--target", toolchain::NARROW]);
+    command.args(["--target", toolchain::NARROW]).env("CARGO_PROFILE_DEV_DEBUG", "0");
     counted(command)
 }
 
@@ -186,6 +170,7 @@ fn aarch64_tests() -> Result<Counts> {
     command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
     command
         .args(["--target", toolchain::AARCH64])
+        .env("CARGO_PROFILE_DEV_DEBUG", "0")
         .env("CARGO_TARGET_AARCH64_UNKNOWN_LINUX_MUSL_RUNNER", "qemu-aarch64");
     counted(command)
 }
@@ -202,11 +187,11 @@ fn narrow_hostile_input() -> Result<Counts> {
     counted(command)
 }
 
-/// Runs the tests of the given packages and counts them. A test that finds no measured data writes its name and
+/// Runs the tests of one kind, of all packages, and counts them. A test that finds no measured data writes its name and
 /// the reason to the file in `OMMATIDIA_SKIPPED`; those are reported as skipped, not as passed.
-fn tests(packages: &[&str]) -> Result<Counts> {
-    let mut command = cargo(["test", "--no-fail-fast"]);
-    command.args(packages);
+fn tests(kind: &[&str]) -> Result<Counts> {
+    let mut command = cargo(["test", "--no-fail-fast", "--release", "--workspace"]);
+    command.args(kind);
     counted(command)
 }
 
@@ -236,4 +221,21 @@ fn counted(mut command: Command) -> Result<Counts> {
     counts.skip(skipped.lines().count() as u64);
     let _ = std::fs::remove_file(&skips);
     Ok(counts)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steps_have_names_of_their_own_and_wait_for_earlier_ones() {
+        let steps = rest();
+        for (index, step) in steps.iter().enumerate() {
+            let before: Vec<_> = steps[..index].iter().map(|s| s.name).collect();
+            assert!(!before.contains(&step.name), "two steps: {}", step.name);
+            for name in step.after {
+                assert!(before.contains(name), "{}: no step before it is {name}", step.name);
+            }
+        }
+    }
 }
