@@ -19,6 +19,7 @@
 use super::state::{Column, State};
 use crate::data::{Observations, Shown};
 use ndarray::Array2;
+use pulp::{Arch, Simd, WithSimd};
 
 /// Number of rings.
 const RINGS: i32 = 3;
@@ -169,36 +170,63 @@ fn summed(image: &Array2<f32>, mut squares: Vec<Square>) -> Array2<f32> {
         kept.1 += if same { next.1 } else { 0.0 };
         same
     });
-    let (rows, cols) = image.dim();
-    let mut sums = Array2::<f64>::zeros((rows + 1, cols + 1));
-    for r in 0..rows {
-        let mut row = 0.0;
-        for c in 0..cols {
-            row += f64::from(image[[r, c]]);
-            sums[[r + 1, c + 1]] = sums[[r, c + 1]] + row;
+    let pixels: Vec<f32> = image.iter().copied().collect();
+    let out = Arch::new().dispatch(Sums { pixels: &pixels, cols: image.ncols(), squares: &squares });
+    Array2::from_shape_vec(image.dim(), out).unwrap_or_else(|_| Array2::zeros(image.dim()))
+}
+
+/// The work of [`summed`], in code for this processor's vectors: it is done for each column of each fit.
+struct Sums<'a> {
+    /// Row by row.
+    pixels: &'a [f32],
+    cols: usize,
+    /// From the smallest to the largest.
+    squares: &'a [Square],
+}
+
+impl WithSimd for Sums<'_> {
+    type Output = Vec<f32>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Vec<f32> {
+        let cols = self.cols.max(1);
+        let (rows, wide) = (self.pixels.len() / cols, cols + 1);
+        let mut sums = vec![0.0f64; (rows + 1) * wide];
+        for (r, pixels) in self.pixels.chunks_exact(cols).enumerate() {
+            let (above, here) = sums[r * wide..].split_at_mut(wide);
+            let mut row = 0.0;
+            for ((sum, above), v) in here[1..].iter_mut().zip(&above[1..]).zip(pixels) {
+                row += f64::from(*v);
+                *sum = above + row;
+            }
         }
-    }
-    let mut out = Array2::<f32>::zeros((rows, cols));
-    let (mut band, mut sum) = (vec![0.0f64; cols + 1], vec![0.0f64; cols]);
-    for r in 0..rows {
-        sum.fill(0.0);
-        for (half, factor) in &squares {
-            // The light of the rows of the square, left of each column.
-            let below = sums.row((r + half + 1).min(rows));
-            let above = sums.row(r.saturating_sub(*half));
-            band.iter_mut().zip(below.iter().zip(above)).for_each(|(b, (below, above))| *b = factor * (below - above));
-            // Right ends within the image, and beyond it.
-            let within = cols.saturating_sub(*half);
-            let (inside, beyond) = sum.split_at_mut(within);
-            inside.iter_mut().zip(band.iter().skip(half + 1)).for_each(|(s, right)| *s += right);
-            let whole = band[cols];
-            beyond.iter_mut().for_each(|s| *s += whole);
-            // Left ends: what lies before the image is dark.
-            sum.iter_mut().skip(*half).zip(&band).for_each(|(s, left)| *s -= left);
+        let mut out = vec![0.0f32; self.pixels.len()];
+        let (mut band, mut sum) = (vec![0.0f64; wide], vec![0.0f64; cols]);
+        for (r, out) in out.chunks_exact_mut(cols).enumerate() {
+            sum.fill(0.0);
+            for (half, factor) in self.squares {
+                // The light of the rows of the square, left of each column.
+                let line = |r: usize| &sums[r * wide..][..wide];
+                let (below, above) = (line((r + half + 1).min(rows)), line(r.saturating_sub(*half)));
+                for ((b, below), above) in band.iter_mut().zip(below).zip(above) {
+                    *b = factor * (below - above);
+                }
+                // Right ends within the image, and beyond it.
+                let (inside, beyond) = sum.split_at_mut(cols.saturating_sub(*half));
+                for (s, right) in inside.iter_mut().zip(band.get(half + 1..).unwrap_or_default()) {
+                    *s += right;
+                }
+                let whole = band[cols];
+                beyond.iter_mut().for_each(|s| *s += whole);
+                // Left ends: what lies before the image is dark.
+                for (s, left) in sum[(*half).min(cols)..].iter_mut().zip(&band) {
+                    *s -= left;
+                }
+            }
+            out.iter_mut().zip(&sum).for_each(|(o, s)| *o = *s as f32);
         }
-        out.row_mut(r).iter_mut().zip(&sum).for_each(|(o, s)| *o = *s as f32);
+        out
     }
-    out
 }
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use ommatidia_physics::effects::{Descriptor, Effect, Stage, find, registry};
 use ommatidia_session::rng;
 use rand::{Rng, RngExt};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// An injected effect.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -127,14 +127,42 @@ struct Wish {
 ///
 /// The kinds of instruments take turns: every effect meets every kind at every strength, each time another instrument.
 pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> {
-    let mut wishes = wishes(size);
     let known_of = |w: &Wish| sensitivities.get(w.case.instrument as usize)?.as_ref();
     // What such a session cannot determine.
     let is_gauge = |w: &Wish| {
         let cannot = &known_of(w)?.of_kinds.get(&w.case.holds)?.cannot;
         Some(cannot.contains(&w.effects.first()?.0))
     };
-    wishes.retain(|w| w.case.question != Question::Gauge || is_gauge(w) == Some(true));
+    let wishes = chosen(size, |w| w.case.question != Question::Gauge || is_gauge(w) == Some(true));
+    let possible = |w: Wish| {
+        let whole = known_of(&w)?;
+        let known = if w.case.question == Question::Unknown { whole.of_kinds.get(&w.case.holds)? } else { whole };
+        let given = w.effects.iter().map(|(id, k)| injected(known, id, *k)).collect::<Option<Vec<_>>>()?;
+        Some(Case { injected: if given.is_empty() { w.case.injected.clone() } else { given }, ..w.case })
+    };
+    let mut cases: Vec<Case> = wishes.into_iter().filter_map(possible).collect();
+    drop_repeated_caps(&mut cases);
+    cases
+}
+
+/// Whether any session that may be drawn has a key that holds a text.
+pub(super) fn has_key(size: &Size, keys: &str) -> bool {
+    wishes(size).iter().any(|w| w.case.key.contains(keys))
+}
+
+/// Numbers of the instruments that sessions need whose keys hold a text. The sensitivities of all instruments decide
+/// which effects another specimen could make, so that sessions with those need every instrument that may have one.
+pub(super) fn instruments_of(size: &Size, keys: &str) -> BTreeSet<u64> {
+    let is_gauge = |w: &Wish| w.case.question == Question::Gauge;
+    let gauges = wishes(size).into_iter().filter(is_gauge);
+    let all = chosen(size, |w| !is_gauge(w)).into_iter().chain(gauges);
+    all.filter(|w| w.case.key.contains(keys)).map(|w| w.case.instrument).collect()
+}
+
+/// The sessions that are wanted and may be: as many of each group as the size allows.
+fn chosen(size: &Size, may_be: impl Fn(&Wish) -> bool) -> Vec<Wish> {
+    let mut wishes = wishes(size);
+    wishes.retain(may_be);
     wishes.sort_by_cached_key(|w| (w.round, w.case.seed));
     if let Some(quota) = size.quota {
         let mut counts: BTreeMap<String, usize> = BTreeMap::new();
@@ -150,15 +178,7 @@ pub fn cases(size: &Size, sensitivities: &[Option<Sensitivities>]) -> Vec<Case> 
             *n <= most
         });
     }
-    let possible = |w: Wish| {
-        let whole = known_of(&w)?;
-        let known = if w.case.question == Question::Unknown { whole.of_kinds.get(&w.case.holds)? } else { whole };
-        let given = w.effects.iter().map(|(id, k)| injected(known, id, *k)).collect::<Option<Vec<_>>>()?;
-        Some(Case { injected: if given.is_empty() { w.case.injected.clone() } else { given }, ..w.case })
-    };
-    let mut cases: Vec<Case> = wishes.into_iter().filter_map(possible).collect();
-    drop_repeated_caps(&mut cases);
-    cases
+    wishes
 }
 
 /// Of the strengths at which an effect is capped in one instrument, only the lowest is kept: the others are the same.

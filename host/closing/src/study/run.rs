@@ -1,7 +1,7 @@
 //! A whole study: instruments, cases, figures.
 
 use super::networks::Networks;
-use super::plan::{Case, cases};
+use super::plan::{Case, cases, has_key, instruments_of};
 use super::record::{Ledger, Outcome, read_all};
 use super::sealed::Sealed;
 use super::sensitivity::Sensitivities;
@@ -60,23 +60,28 @@ pub struct Progress {
 /// Runs the cases of a study that belong to the shard and have no outcome in the folder yet, then writes figures and
 /// page of all outcomes in the folder. `progress` is called after each case.
 ///
-/// The instruments of the shard are calibrated first, then one after the other closes all its sessions, in parallel and
-/// each on one thread; the outcome does not depend on the number of threads.
+/// The instruments of the shard that have such sessions are calibrated first, then one after the other closes all its
+/// sessions, in parallel and each on one thread; the outcome does not depend on the number of threads.
 ///
 /// # Errors
-/// The folder cannot be written, it holds another study, or no instrument can be calibrated. An instrument that
-/// `calibrate` refuses is left out and counted. A session that cannot be closed is not an error: its outcome holds the
-/// reason.
+/// No session has such a key, the folder cannot be written, it holds another study, or no instrument can be calibrated.
+/// An instrument that `calibrate` refuses is left out and counted. A session that cannot be closed is not an error: its
+/// outcome holds the reason.
 pub fn run(
     request: &StudyRequest<'_>,
     networks: &dyn Networks,
     progress: impl Fn(Progress) + Sync,
 ) -> anyhow::Result<Study> {
     let StudyRequest { dir, size, shard, sealed, keys } = *request;
+    if !has_key(size, keys) {
+        bail!(
+            "no session of this study has a key that contains {keys:?}; study.json has the keys of sessions that ran"
+        );
+    }
     std::fs::create_dir_all(dir).with_context(|| dir.display().to_string())?;
     let size = &begin(dir, size, shard, sealed)?;
     let opened = size.sealed.then_some(size.opening);
-    let numbers: Vec<u64> = (0..size.instruments).filter(|n| shard.has(*n as usize)).collect();
+    let numbers: Vec<u64> = instruments_of(size, keys).into_iter().filter(|n| shard.has(*n as usize)).collect();
     // Their foci take much memory, so only what is on disk is kept.
     let prepared = |n: &u64| match Subject::prepare(*n, size, dir, networks) {
         Err(e) if e.downcast_ref::<CalibrateError>().is_some() => {
@@ -87,7 +92,7 @@ pub fn run(
     };
     let refused = side_by_side(&numbers, prepared)?.into_iter().collect::<anyhow::Result<Vec<Option<u64>>>>()?;
     let refused: Vec<u64> = refused.into_iter().flatten().collect();
-    if refused.len() == numbers.len() {
+    if !numbers.is_empty() && refused.len() == numbers.len() {
         bail!("`calibrate` refuses all {} instruments; the log has the reasons", numbers.len());
     }
     let sensitivities: Vec<Option<Sensitivities>> = (0..size.instruments).map(|n| Subject::known(n, dir)).collect();
@@ -124,7 +129,7 @@ pub fn run(
 
 /// Checks that the folder holds no other study, and counts an opening of the sealed seeds where this is one. Returns
 /// the size with the number of the sealed study.
-fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Size> {
+pub(super) fn begin(dir: &Path, size: &Size, shard: Shard, sealed: Option<&Path>) -> anyhow::Result<Size> {
     let file = dir.join(PLAN);
     let known = std::fs::read(&file).ok().map(|known| serde_json::from_slice::<Size>(&known).ok());
     if let Some(known) = known {

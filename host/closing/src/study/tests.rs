@@ -5,9 +5,9 @@
 use super::foreign::FOREIGN;
 use super::instruments::{self, Kind};
 use super::networks::{FirstTraining, TrainRequest};
-use super::plan::{Case, Injected, PAIRS, cases, catalogue};
+use super::plan::{Case, Injected, PAIRS, cases, catalogue, instruments_of};
 use super::record::{FoundEffect, HeldOut, Ledger, Outcome, read_all};
-use super::run::{JSON, PAGE, PLAN, StudyRequest, run};
+use super::run::{JSON, PAGE, StudyRequest, begin, run};
 use super::sealed::Sealed;
 use super::sensitivity::{Sensitivities, Sensitivity};
 use super::sessions::Holds;
@@ -192,6 +192,23 @@ fn sealed_seeds_share_no_instrument_and_no_session_with_those_for_development() 
 }
 
 #[test]
+fn sessions_with_some_keys_need_their_own_instruments_only() {
+    let size = Size { quota: Some(24), ..Size::default() };
+    for keys in ["foreign/", "records/", ""] {
+        let of = |known: &[Option<Sensitivities>]| {
+            let mut all = cases(&size, known);
+            all.retain(|c| c.key.contains(keys));
+            all
+        };
+        let (all, needed) = (known(size.instruments), instruments_of(&size, keys));
+        let mut some = all.clone();
+        some.iter_mut().enumerate().filter(|(n, _)| !needed.contains(&(*n as u64))).for_each(|(_, s)| *s = None);
+        assert!(!needed.is_empty() && of(&some) == of(&all), "{keys}");
+        assert_eq!(needed.len() as u64 == size.instruments, keys.is_empty(), "{keys}: {needed:?}");
+    }
+}
+
+#[test]
 fn openings_of_the_sealed_seeds_are_counted() {
     let dir = tempfile::tempdir().unwrap();
     let file = dir.path().join("sealed.json");
@@ -338,11 +355,13 @@ fn the_quick_study_finds_what_is_there() {
     assert!(run(&unsealed, &Untrained, |_| {}).is_err());
     // A sealed study keeps its number while it goes on, and the next one gets another.
     let counter = fresh.path().join("sealed.json");
+    let none = StudyRequest { sealed: Some(&counter), keys: "no such session", ..unsealed };
+    assert!(run(&none, &Untrained, |_| {}).is_err_and(|e| e.to_string().contains("no such session")));
+    assert!(!counter.exists(), "nothing was opened");
     let opening = |dir: &str| {
         let dir = fresh.path().join(dir);
-        let none = StudyRequest { dir: &dir, sealed: Some(&counter), keys: "no such session", ..unsealed };
-        run(&none, &Untrained, |_| {}).unwrap();
-        serde_json::from_slice::<Size>(&std::fs::read(dir.join(PLAN)).unwrap()).unwrap().opening
+        std::fs::create_dir_all(&dir).unwrap();
+        begin(&dir, &sealed, Shard::default(), Some(&counter)).unwrap().opening
     };
     assert_eq!([opening("first"), opening("first"), opening("second")], [1, 1, 2]);
 }

@@ -32,7 +32,8 @@ pub fn first() -> Vec<Step> {
 
 /// What follows. The first step that can begin is taken, so that the longest ones stand in front. Nothing here installs
 /// tools with the package manager of the system, but for Python. A step that builds in a target folder in which another
-/// one builds waits for it: what needs the folder of the tests comes after their build.
+/// one builds waits for it: what needs the folder of the tests comes after their build, and the lints, which take long
+/// in it, beside the longest tests.
 pub fn rest() -> Vec<Step> {
     const BUILD: &str = "build of all tests";
     const IMAGES: &str = "firmware images";
@@ -41,20 +42,27 @@ pub fn rest() -> Vec<Step> {
     vec![
         step(BUILD, &[], || check(cargo(["test", "--release", "--workspace", "--no-run"]))),
         step(IMAGES, &[], firmware_images),
-        step("integration tests", &[BUILD, IMAGES], || tests(&["--test", "*"])),
         step("tests of shared with overflow checks, 32-bit program", &[], narrow_tests),
-        step("tests of shared with overflow checks, AArch64, emulated", &[], aarch64_tests),
+        step("bits and plans of shared with overflow checks, AArch64, emulated", &[], aarch64_tests),
         step("shared on other cores", &[], other_cores),
         step(HOSTILE, &[], hostile_input),
         step("hostile input, 32-bit program", &[HOSTILE], narrow_hostile_input),
         step("lints of the boards", &[IMAGES], lints_of_boards),
-        step("unit tests", &[BUILD], || tests(&["--lib", "--bins"])),
-        step("examples in the documentation", &[BUILD], || tests(&["--doc"])),
-        step("Python package", &[BUILD], python::package),
+        // Half of the time of all integration tests. The package without dependencies keeps the features of the others
+        // as they were built.
+        step("sessions that are closed", &[BUILD], || {
+            tests(&["-p", "ommatidia-closing", "-p", "ommatidia-workspace-hack", "--test", "*"])
+        }),
         step("lints", &[BUILD], || {
             check(cargo(["clippy", "--release", "--workspace", "--all-targets", "--", "-D", "warnings"]))
         }),
         step("documentation", &[BUILD], documentation),
+        step("other integration tests", &[BUILD, IMAGES], || {
+            tests(&["--workspace", "--exclude", "ommatidia-closing", "--test", "*"])
+        }),
+        step("unit tests", &[BUILD], || tests(&["--workspace", "--lib", "--bins"])),
+        step("examples in the documentation", &[BUILD], || tests(&["--workspace", "--doc"])),
+        step("Python package", &[BUILD], python::package),
     ]
 }
 
@@ -163,11 +171,11 @@ fn other_cores() -> Result<Counts> {
     Ok(counts)
 }
 
-/// The tests of `shared` as a program for AArch64: its loops are the portable ones, as those of this machine are, and
-/// the bits are the same.
+/// The bits of reconstructions and the sizes of plans, as a program for AArch64: its loops are the portable ones, as
+/// those of this machine and of the 32-bit program are, which run the other tests of `shared`.
 fn aarch64_tests() -> Result<Counts> {
     let mut command = toolchain::linux(toolchain::AARCH64)?;
-    command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--lib", "--tests"]);
+    command.args(["test", "--no-fail-fast", "-p", "ommatidia-shared", "--test", "*"]);
     command
         .args(["--target", toolchain::AARCH64])
         .env("CARGO_PROFILE_DEV_DEBUG", "0")
@@ -183,15 +191,17 @@ fn narrow_hostile_input() -> Result<Counts> {
     command.args(["--target", toolchain::NARROW, "--manifest-path"]).arg(fuzz.join("Cargo.toml"));
     let target = toolchain::target_dir().join("fuzz");
     command.env("OMMATIDIA_CORPUS", target.join("corpus")).env("OMMATIDIA_SECONDS", FUZZ_SECONDS.to_string());
+    // As for the step before, so that what both build for this machine is built once.
+    command.env("RUSTC_BOOTSTRAP", "1");
     command.env("CARGO_TARGET_DIR", target).env(FUZZ_LEVEL[0], FUZZ_LEVEL[1]).args(["--", "--nocapture"]);
     counted(command)
 }
 
-/// Runs the tests of one kind, of all packages, and counts them. A test that finds no measured data writes its name and
+/// Runs the tests of some packages and kinds, and counts them. A test that finds no measured data writes its name and
 /// the reason to the file in `OMMATIDIA_SKIPPED`; those are reported as skipped, not as passed.
-fn tests(kind: &[&str]) -> Result<Counts> {
-    let mut command = cargo(["test", "--no-fail-fast", "--release", "--workspace"]);
-    command.args(kind);
+fn tests(which: &[&str]) -> Result<Counts> {
+    let mut command = cargo(["test", "--no-fail-fast", "--release"]);
+    command.args(which);
     counted(command)
 }
 
