@@ -16,6 +16,7 @@ use ommatidia_physics::effects::{Kind, find};
 use ommatidia_session::rng::stream;
 use ommatidia_session::{FrameInfo, Role};
 use rand_distr::{Distribution, StandardNormal};
+use std::sync::Arc;
 
 const SENSOR: [usize; 2] = [48, 52];
 
@@ -111,6 +112,27 @@ fn a_standard_deviation_is_found_from_where_it_has_no_slope() {
     let p = &find("charge_diffusion").unwrap().descriptor().params[0];
     assert!((p.outer_sigma(0.0, 0.01) - 0.1).abs() < 1e-12 && (p.outer_sigma(0.16, 0.008) - 0.0099).abs() < 1e-3);
     assert!(p.outer(-0.3) == 0.0 && p.kind == Kind::Square && p.forbidden_side() < 0.0);
+}
+
+#[test]
+fn states_share_the_light_behind_the_optics_where_they_emit_the_same() {
+    let instrument = instrument([20, 22], SENSOR, 9, 3);
+    let seen = observations(&instrument, &[]);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let state = model.state(&instrument).unwrap();
+    let with = |effect: Term| {
+        let mut state = state.clone();
+        state.terms.push(effect);
+        model.scenes(&state).unwrap()
+    };
+    let scenes = model.scenes(&state).unwrap();
+    assert!(Arc::ptr_eq(&scenes, &with(term("array_shift", &[("row_px", 0.3)], 2))));
+    let [faded, other] = [0.5, 0.6].map(|rate| with(term("photobleaching", &[("rate_per_s", rate)], 2)));
+    assert!(!Arc::ptr_eq(&scenes, &faded) && !Arc::ptr_eq(&faded, &other));
+    // Nothing outlives the states that use it.
+    let weak = Arc::downgrade(&faded);
+    drop(faded);
+    assert!(weak.upgrade().is_none());
 }
 
 #[test]

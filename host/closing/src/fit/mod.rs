@@ -1,7 +1,7 @@
 //! Predicts the frames of a session from a state, and fits the state.
 //!
-//! [`state`] holds effects and nuisance parameters, [`model`] makes the light of frames of them and `predict` the
-//! frames with their residuals, [`derivative`] their derivatives, [`design`] sums these over [`cell`]s, `repeats`
+//! [`state`] holds effects and nuisance parameters, [`model`] makes the light of frames of them, which states share
+//! (`scenes`), and `predict` the frames with their residuals, [`derivative`] their derivatives, [`design`] sums these over [`cell`]s, `repeats`
 //! adds what repeated frames show of the noise (by its `features`, with `kurtosis` the few pixels that scatter more
 //! than the others, and `rhythm` a wave in their rows), and `same` says which frames of unknown specimens are
 //! repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in place, `registration`
@@ -35,6 +35,7 @@ pub mod replicas;
 mod rhythm;
 mod same;
 pub(crate) mod scene_light;
+mod scenes;
 pub mod solve;
 pub mod specimen;
 pub mod state;
@@ -51,9 +52,10 @@ pub use model::Model;
 pub(crate) use model::PUPIL_DEFOCUS;
 pub(crate) use orientation::orientation;
 pub use projection::Specimens;
-pub use refit::{Fitted, Scenes, fitted_columns, own_columns, refit, refit_from, refit_from_within, refit_within};
+pub use refit::{Fitted, fitted_columns, own_columns, refit, refit_from, refit_from_within, refit_within};
 pub use replicas::{Replicas, replicas};
 pub(crate) use rhythm::rhythm;
+pub use scenes::Scenes;
 pub use solve::pseudo_inverse;
 pub use specimen::estimate_specimens;
 pub(crate) use specimen::{UNKNOWN_NOTE, chosen_note, estimated_frames};

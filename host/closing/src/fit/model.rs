@@ -2,6 +2,7 @@
 
 use super::lamp;
 use super::projection::{Projectors, Sigmas};
+use super::scenes::{Scenes, ScenesInUse};
 use super::state::{State, Term};
 use super::truth::{Grid, PARTS, TRUTH};
 use super::wings::{self, Ring};
@@ -72,6 +73,8 @@ pub struct Model<'a> {
     pub(super) sigmas: OnceLock<Arc<Sigmas>>,
     /// What takes specimens out of frames.
     pub(super) projectors: Projectors,
+    /// The light behind the optics that states share.
+    scenes: ScenesInUse,
 }
 
 impl<'a> Model<'a> {
@@ -102,6 +105,7 @@ impl<'a> Model<'a> {
             rings: wings::fitted(seen, instrument.psf.basis.dim().2 / 2, quality.outside_window),
             sigmas: OnceLock::new(),
             projectors: Projectors::default(),
+            scenes: ScenesInUse::default(),
         })
     }
 
@@ -239,9 +243,11 @@ impl<'a> Model<'a> {
     ///
     /// # Errors
     /// An object holds negative or non-finite light.
-    pub fn scenes(&self, state: &State) -> Result<Vec<Option<SceneLight>>, ForwardError> {
-        let chain = self.chain(&state.terms);
-        (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, state, &chain)).collect()
+    pub fn scenes(&self, state: &State) -> Result<Scenes, ForwardError> {
+        self.scenes.of(state, || {
+            let chain = self.chain(&state.terms);
+            (0..self.seen.frames.len()).into_par_iter().map(|k| self.scene(k, state, &chain)).collect()
+        })
     }
 
     /// That of frame `k` under a chain of effects, which may differ from that of the state.

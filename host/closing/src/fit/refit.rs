@@ -8,15 +8,15 @@ use super::design::{Design, Misfit, Scope, nuisances};
 use super::errors::Errors;
 use super::gauge::{Gauge, gauges};
 use super::model::{Model, PUPIL_DEFOCUS};
+use super::scenes::Scenes;
 use super::solve::pseudo_inverse;
 use super::specimen::fitted::specimens;
 use super::state::{Column, Predicted, State, Term};
 use super::wings::range;
 use crate::data::Shown;
 use ndarray::{Array1, Array2, Axis};
-use ommatidia_model::forward::{ForwardError, SceneLight};
+use ommatidia_model::forward::ForwardError;
 use ommatidia_physics::effects::{Kind, Stage};
-use std::sync::Arc;
 
 /// Number of steps that a weak effect needs at most.
 const STEPS: usize = 7;
@@ -37,9 +37,6 @@ const AHEAD: f64 = 5.0;
 const REACH: f64 = 4.0;
 /// Number of frames of a stack by which its light is judged before that.
 const REACHED: usize = 5;
-
-/// The light of each frame's object behind the optics ([`Model::scenes`]); shared, since few effects change it.
-pub type Scenes = Arc<[Option<SceneLight>]>;
 
 /// A fitted state.
 #[derive(Clone)]
@@ -126,7 +123,7 @@ pub fn refit_within(model: &Model<'_>, mut state: State, most: f64) -> Result<Fi
     if state.specimens.is_none() {
         state.specimens = specimens(model, &state)?;
     }
-    let scenes = model.scenes(&state)?.into();
+    let scenes = model.scenes(&state)?;
     within_reach(model, &mut state, &scenes);
     refit_from_within(model, state, scenes, most)
 }
@@ -201,7 +198,7 @@ pub fn refit_from_within(
         if given_up {
             break;
         }
-        let scenes = if emission { model.scenes(&proposal)?.into() } else { at.scenes.clone() };
+        let scenes = if emission { model.scenes(&proposal)? } else { at.scenes.clone() };
         let next = Point::of(model, &proposal, &columns, scenes)?;
         let fall = at.training.deviance - next.training.deviance;
         if fall > 0.0 {

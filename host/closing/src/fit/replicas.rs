@@ -4,7 +4,8 @@
 use super::errors::Errors;
 use super::model::Model;
 use super::projection::Specimens;
-use super::refit::{Fitted, Scenes};
+use super::refit::Fitted;
+use super::scenes::Scenes;
 use super::state::{Predicted, State};
 use super::wings::{rings, spread};
 use crate::data::{Frame, Shown};
@@ -38,7 +39,7 @@ struct Light {
 
 impl Light {
     fn of(model: &Model<'_>, instruments: &[Instrument], state: &State) -> Result<Self, ForwardError> {
-        let one = |other: &Instrument| Ok(Model::new(other, model.seen)?.scenes(state)?.into());
+        let one = |other: &Instrument| Model::new(other, model.seen)?.scenes(state);
         let scenes = instruments.iter().map(one).collect::<Result<_, ForwardError>>()?;
         Ok(Self { specimens: state.specimens.clone(), scenes })
     }

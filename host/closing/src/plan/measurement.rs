@@ -101,7 +101,7 @@ impl Measurement {
             specimens: None,
             ..found.now.state.clone()
         };
-        let scenes: crate::fit::Scenes = simulated.scenes(&state)?.into();
+        let scenes = simulated.scenes(&state)?;
         state.scale[stacks - 1] = match plan.light {
             Light::Scale(scale) => scale,
             Light::Peak(share) => {

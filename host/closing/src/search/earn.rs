@@ -143,7 +143,7 @@ fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, Forw
     let mut fit = None;
     let mut state = state.clone();
     for _ in 0..if tables.is_empty() { 1 } else { ROUNDS } {
-        let scenes: Scenes = model.scenes(&state)?.into();
+        let scenes: Scenes = model.scenes(&state)?;
         for i in &tables {
             let mut without = state.clone();
             let old = without.terms.remove(*i);

@@ -43,13 +43,14 @@ pub use predict::{Depth, PredictError, PredictRequest, Predicted, Predictor};
 pub use scene_light::SceneLight;
 
 use crate::instrument::Instrument;
-use crate::psf::{ChiefRays, LowRankOperator, OperatorConfig};
+use crate::psf::{ChiefRays, LensImage, LowRankOperator, OperatorConfig};
 use growth::{Calibrated, Growth};
 use ndarray::{Array2, ArrayView2, Zip};
 use ommatidia_physics::effects::{Chain, FrameContext, Layout, Stage};
 use ommatidia_physics::noise::{NoiseModel, ROUNDING_DN2, draw_electrons};
 use ommatidia_physics::optics::MicrolensArray;
 use rand::Rng;
+use scene_light::Images;
 use std::sync::{Arc, OnceLock};
 use wavefront::{Changes, Kept};
 
@@ -225,12 +226,11 @@ impl Forward {
         }
         let mut emitted = object.to_owned();
         effects.on_object(&mut emitted, cx);
-        let mut lenses = vec![None; self.layout.lenses];
-        for plane in &self.planes {
-            plane.each_lens(emitted.view(), |l, image| lenses[l].get_or_insert_with(Vec::new).push(image))?;
-        }
+        let images = self.images(self.plane, &emitted)?;
+        let mut planes = vec![Images::new(); self.planes.len()];
+        planes[self.plane] = images.into();
         Ok(SceneLight {
-            lenses,
+            planes,
             emitted,
             growth: Default::default(),
             changes: Kept::images(),
@@ -238,6 +238,24 @@ impl Forward {
             shift_px: [0.0; 2],
             z_um: None,
         })
+    }
+
+    /// The images of what an object emits through the lenses, for sources in one of the planes.
+    fn images(&self, plane: usize, emitted: &Array2<f32>) -> Result<Vec<Option<LensImage>>, ForwardError> {
+        let mut lenses = vec![None; self.layout.lenses];
+        self.planes[plane].each_lens(emitted.view(), |l, image| lenses[l] = Some(image))?;
+        Ok(lenses)
+    }
+
+    /// The image of a scene through a lens, for sources in one of the planes. None: the lens is dead.
+    fn image<'s>(&self, scene: &'s SceneLight, plane: usize, lens: usize) -> Option<&'s LensImage> {
+        let images = scene.planes.get(plane)?;
+        // No lock is held while threads share out the work: another thread may do the same work, and its result counts.
+        if images.get().is_none() {
+            // An object of another shape was refused when its scene was made.
+            let _ = images.set(self.images(plane, &scene.emitted).ok()?);
+        }
+        images.get()?.get(lens)?.as_ref()
     }
 
     /// The image of a point source of unit light at the fractional object pixel `at_px` = [row, col].
@@ -263,7 +281,7 @@ impl Forward {
     pub fn sum_e(&self, scene: &SceneLight, effects: &Chain, cx: &FrameContext<'_>) -> Array2<f32> {
         let mut light = Array2::zeros(self.operator().sensor_shape());
         let per_lens = effects.acts_at(Stage::Lens);
-        for l in 0..scene.lenses.len() {
+        for l in 0..self.layout.lenses {
             if per_lens {
                 light += &self.lens_e(scene, l, effects, cx);
             } else if let Some(image) = self.moved(scene, l, effects, cx) {

@@ -25,9 +25,8 @@ impl Forward {
         effects: &Chain,
         cx: &FrameContext<'_>,
     ) -> Option<LensImage> {
-        let planes = scene.lenses.get(lens)?.as_ref()?;
         let electrons = (cx.exposure_ms / self.exposure_ms * cx.illumination / self.noise.gain_dn_per_e) as f32;
-        let here = planes.get(self.plane)?;
+        let here = self.image(scene, self.plane, lens)?;
         let mut image = LensImage { origin: here.origin, light: here.light.mapv(|v| v * electrons) };
         let [dy, dx] = scene.shift_px;
         let own = self.depths_um[self.plane];
@@ -38,7 +37,7 @@ impl Forward {
         let shape = image.light.dim();
         let shifts = self.shifts(lens, &image, effects, &FrameContext { lens, ..*cx }).displaced([dy, dx]);
         // A single plane holds for all depths.
-        if planes.len() > 1 && shifts.any(|s| z + s.z_um != own) {
+        if self.planes.len() > 1 && shifts.any(|s| z + s.z_um != own) {
             self.refocus(scene, lens, (effects, cx), &shifts.over(shape), (&mut image, electrons));
         }
         if let Some(change) = self.wavefront_change(scene, lens, effects, cx) {
@@ -75,13 +74,14 @@ impl Forward {
         shifts: &Array2<RayShift>,
         (image, electrons): (&mut LensImage, f32),
     ) {
-        let Some(planes) = scene.lenses.get(lens).and_then(Option::as_ref) else { return };
+        let Some(LensImage { light: here, .. }) = self.image(scene, self.plane, lens) else { return };
         let own = self.depth_um();
         let z = scene.z_um.unwrap_or(own);
-        let here = &planes[self.plane].light;
         let pupils = self.pupils_between_depths();
         let taps = shifts.mapv(|s| Taps::at(&self.depths_um, z + s.z_um));
-        for (p, other) in planes.iter().enumerate().filter(|(p, _)| *p != self.plane) {
+        let is_used = |p: &usize| *p != self.plane && taps.iter().any(|t| (t.first..t.first + t.count).contains(p));
+        for p in (0..self.planes.len()).filter(is_used) {
+            let Some(other) = self.image(scene, p, lens) else { continue };
             let mut left = &other.light - here;
             let to_plane =
                 |pupils| self.depth_change(scene, &scene.to_planes, (pupils, lens), |_| self.depths_um[p] - own);

@@ -4,12 +4,16 @@ use super::growth::GrowthImages;
 use super::wavefront::Kept;
 use crate::psf::LensImage;
 use ndarray::Array2;
+use std::sync::OnceLock;
+
+/// The images of one object, lens by lens (None: dead); empty until they are needed.
+pub(super) type Images = OnceLock<Vec<Option<LensImage>>>;
 
 /// The image of one object through each lens, DN above black at the exposure of the calibration.
 #[derive(Clone, Debug)]
 pub struct SceneLight {
-    /// For each lens (None: dead), one image for each plane.
-    pub(super) lenses: Vec<Option<Vec<LensImage>>>,
+    /// For each plane its images. Most effects need those of the object's own plane alone.
+    pub(super) planes: Vec<Images>,
     /// What the object emits, [object rows, object cols].
     pub(super) emitted: Array2<f32>,
     /// Its images under PSFs that grow.

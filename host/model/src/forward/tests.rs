@@ -194,3 +194,23 @@ fn displacements_leave_psfs_as_they_are_and_growth_leaves_foci_where_they_are() 
         }
     }
 }
+
+/// Images for sources in other planes are made when something first asks for them.
+#[test]
+fn only_what_lies_in_another_plane_needs_its_images() {
+    let instrument = made_up_in_depth();
+    let plan = |depth| Forward::with_all_depths(&instrument, OperatorConfig { depth, ..Default::default() }).unwrap();
+    let (forward, deeper) = (plan(0), plan(1));
+    let cx = forward.context();
+    let scene = forward.scene(object().view(), &Chain::default(), &cx).unwrap();
+    let moved = Chain::build(&[on("array_shift", &[("row_px", 0.5)])], forward.layout()).unwrap();
+    let _ = forward.light_e(&scene, &moved, &cx);
+    assert!(scene.planes[0].get().is_some() && scene.planes[1].get().is_none());
+
+    let scene = scene.at_depth(50.0);
+    let found = forward.light_e(&scene, &Chain::default(), &cx);
+    assert!(scene.planes[1].get().is_some());
+    let other = deeper.scene(object().view(), &Chain::default(), &deeper.context()).unwrap();
+    let expected = deeper.light_e(&other, &Chain::default(), &deeper.context());
+    assert!(expected.sum() > 0.0 && (&found - &expected).iter().all(|d| d.abs() < 1e-4 * expected.sum()));
+}

@@ -1,0 +1,61 @@
+//! The light of the frames' objects behind the optics, which states share that emit the same.
+
+use super::projection::Specimens;
+use super::state::{State, Term};
+use ommatidia_model::forward::SceneLight;
+use ommatidia_physics::effects::Stage;
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+/// The light of each frame's object behind the optics ([`super::Model::scenes`]). Few effects change it.
+pub type Scenes = Arc<[Option<SceneLight>]>;
+
+/// What the light behind the optics depends on.
+struct Emission {
+    /// Effects on the emission.
+    effects: Vec<Term>,
+    /// The estimated specimens. A weak reference keeps their address from being used again.
+    specimens: Option<Weak<Specimens>>,
+}
+
+impl Emission {
+    fn of(state: &State) -> Self {
+        let effects = state.terms.iter().filter(|t| t.effect.descriptor().stage == Stage::Object);
+        Self { effects: effects.cloned().collect(), specimens: state.specimens.as_ref().map(Arc::downgrade) }
+    }
+
+    fn is(&self, other: &Self) -> bool {
+        let same = match (&self.specimens, &other.specimens) {
+            (Some(own), Some(other)) => Weak::ptr_eq(own, other),
+            (own, other) => own.is_none() && other.is_none(),
+        };
+        let acts = |t: &Term| (t.id(), t.params.clone(), t.table.clone());
+        same && self.effects.iter().map(acts).eq(other.effects.iter().map(acts))
+    }
+}
+
+/// The light behind the optics of an emission, as long as a state uses it.
+struct Shared {
+    emission: Emission,
+    scenes: Weak<[Option<SceneLight>]>,
+}
+
+/// The light behind the optics that states of a model are using.
+#[derive(Default)]
+pub(super) struct ScenesInUse(Mutex<Vec<Shared>>);
+
+impl ScenesInUse {
+    /// That of a state: one that is in use, or a new one. No lock is held while it is computed.
+    pub(super) fn of<E>(&self, state: &State, compute: impl FnOnce() -> Result<Scenes, E>) -> Result<Scenes, E> {
+        let emission = Emission::of(state);
+        let in_use = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let found = in_use().iter().filter(|s| s.emission.is(&emission)).find_map(|s| s.scenes.upgrade());
+        if let Some(scenes) = found {
+            return Ok(scenes);
+        }
+        let new = compute()?;
+        let mut all = in_use();
+        all.retain(|s| s.scenes.strong_count() > 0);
+        all.push(Shared { emission, scenes: Arc::downgrade(&new) });
+        Ok(new)
+    }
+}
