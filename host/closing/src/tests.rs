@@ -8,6 +8,7 @@ use super::evidence::maps::Beside;
 use super::evidence::{Figures, Scores, figures, is_worse, maps};
 use super::fit::{
     Column, Design, Errors, Expansion, Fitted, Model, Predicted, Scope, Term, fitted_columns, nuisances, refit,
+    replicas,
 };
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
@@ -133,6 +134,34 @@ fn states_share_the_light_behind_the_optics_where_they_emit_the_same() {
     let weak = Arc::downgrade(&faded);
     drop(faded);
     assert!(weak.upgrade().is_none());
+}
+
+/// Two replicates that differ by 2 % of the light at the second depth, and not at the first.
+#[test]
+fn replicates_err_at_the_depth_at_which_they_differ() {
+    let mut instrument = instrument([20, 22], SENSOR, 9, 3);
+    let psf = &mut instrument.psf;
+    psf.coefficients = ndarray::concatenate![ndarray::Axis(2), psf.coefficients, psf.coefficients];
+    psf.node_depths_um = vec![0.0, 50.0];
+    instrument.replicates = [0.98, 1.02]
+        .map(|factor| {
+            let mut psf = instrument.psf.clone();
+            psf.coefficients.index_axis_mut(ndarray::Axis(2), 1).mapv_inplace(|v| factor * v);
+            psf
+        })
+        .to_vec();
+    let mut seen = observations(&instrument, &[]);
+    seen.frames.iter_mut().skip(3).for_each(|f| f.info.z_um = 50.0);
+    let model = Model::new(&instrument, &seen).unwrap();
+    let fit = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let errors = replicas(&model, &instrument, &fit.state).unwrap().of(&model, &fit).unwrap();
+    assert_eq!(errors.scattered, 2);
+    for (k, change) in errors.changes[1].iter().enumerate() {
+        let light = fit.predicted[k].dn.sum() - instrument.noise.black_level_dn as f32 * (SENSOR[0] * SENSOR[1]) as f32;
+        let found = change.as_ref().unwrap().sum() / light;
+        let expected = if k < 3 { 0.0 } else { 0.02 };
+        assert!((found - expected).abs() < 1e-3, "{k}: {found}");
+    }
 }
 
 #[test]

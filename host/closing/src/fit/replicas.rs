@@ -39,7 +39,13 @@ struct Light {
 
 impl Light {
     fn of(model: &Model<'_>, instruments: &[Instrument], state: &State) -> Result<Self, ForwardError> {
-        let one = |other: &Instrument| Model::new(other, model.seen)?.scenes(state);
+        let one = |other: &Instrument| {
+            let own = Model::new(other, model.seen)?;
+            let scenes = own.scenes(state)?;
+            // The model of the instrument predicts with them.
+            scenes.iter().flatten().for_each(|scene| own.forward.make_all_planes(scene));
+            Ok(scenes)
+        };
         let scenes = instruments.iter().map(one).collect::<Result<_, ForwardError>>()?;
         Ok(Self { specimens: state.specimens.clone(), scenes })
     }

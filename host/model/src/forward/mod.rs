@@ -247,15 +247,28 @@ impl Forward {
         Ok(lenses)
     }
 
+    /// Makes what is missing of a scene's images in all planes. A scene that another model predicts with needs this: it
+    /// would make them of its own PSFs.
+    pub fn make_all_planes(&self, scene: &SceneLight) {
+        for plane in 0..self.planes.len() {
+            let _ = self.in_plane(scene, plane);
+        }
+    }
+
     /// The image of a scene through a lens, for sources in one of the planes. None: the lens is dead.
     fn image<'s>(&self, scene: &'s SceneLight, plane: usize, lens: usize) -> Option<&'s LensImage> {
+        self.in_plane(scene, plane)?.get(lens)?.as_ref()
+    }
+
+    /// The images of a scene for sources in one of the planes, by lens.
+    fn in_plane<'s>(&self, scene: &'s SceneLight, plane: usize) -> Option<&'s Vec<Option<LensImage>>> {
         let images = scene.planes.get(plane)?;
         // No lock is held while threads share out the work: another thread may do the same work, and its result counts.
         if images.get().is_none() {
             // An object of another shape was refused when its scene was made.
             let _ = images.set(self.images(plane, &scene.emitted).ok()?);
         }
-        images.get()?.get(lens)?.as_ref()
+        images.get()
     }
 
     /// The image of a point source of unit light at the fractional object pixel `at_px` = [row, col].

@@ -79,7 +79,7 @@ impl Forward {
         let z = scene.z_um.unwrap_or(own);
         let pupils = self.pupils_between_depths();
         let taps = shifts.mapv(|s| Taps::at(&self.depths_um, z + s.z_um));
-        let is_used = |p: &usize| *p != self.plane && taps.iter().any(|t| (t.first..t.first + t.count).contains(p));
+        let is_used = |p: &usize| *p != self.plane && taps.iter().any(|t| t.weight_of(*p) != 0.0);
         for p in (0..self.planes.len()).filter(is_used) {
             let Some(other) = self.image(scene, p, lens) else { continue };
             let mut left = &other.light - here;
@@ -89,8 +89,7 @@ impl Forward {
                 left -= &change.light;
             }
             Zip::from(&mut image.light).and(&left).and(&taps).for_each(|v, left, taps| {
-                let share = p.checked_sub(taps.first).filter(|i| *i < taps.count).map_or(0.0, |i| taps.weights[i]);
-                *v += share * electrons * left;
+                *v += taps.weight_of(p) * electrons * left;
             });
         }
         let cx = FrameContext { lens, ..*cx };

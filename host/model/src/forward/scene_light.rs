@@ -10,6 +10,9 @@ use std::sync::OnceLock;
 pub(super) type Images = OnceLock<Vec<Option<LensImage>>>;
 
 /// The image of one object through each lens, DN above black at the exposure of the calibration.
+///
+/// What is not made at once is made by the model that first needs it, of its own PSFs
+/// ([`super::Forward::make_all_planes`]).
 #[derive(Clone, Debug)]
 pub struct SceneLight {
     /// For each plane its images. Most effects need those of the object's own plane alone.

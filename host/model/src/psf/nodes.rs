@@ -24,6 +24,11 @@ pub struct Taps {
 }
 
 impl Taps {
+    /// The weight of a node, 0 where it is not used.
+    pub fn weight_of(&self, node: usize) -> f32 {
+        node.checked_sub(self.first).filter(|i| *i < self.count).map_or(0.0, |i| self.weights[i])
+    }
+
     /// Weights that interpolate values at `nodes` (ascending, not empty) at `x`. Outside the nodes the value of the
     /// last node holds.
     pub fn at(nodes: &[f64], x: f64) -> Self {
