@@ -3,7 +3,6 @@
 //! A displacement of the light of a whole image by d(x) grows the PSFs along with the image, by `div d / 2` (and shears
 //! them, which is neglected). An effect that displaces foci does not do that, so it is taken back here.
 
-use super::scene_light::Images;
 use crate::psf::growth::growth_kernels;
 use crate::psf::nodes::Taps;
 use crate::psf::pupils::Pupils;
@@ -33,9 +32,6 @@ pub(super) struct Growth {
     /// on whole pixels, and PSFs lie where the light is.
     centres_px: Vec<Array2<[f64; 2]>>,
 }
-
-/// The images of one object under the derivatives, by order.
-pub(super) type GrowthImages = [Images; 2];
 
 impl Growth {
     /// Plans the operators; None where the tables disagree, which the plan of the PSFs themselves has refused before.

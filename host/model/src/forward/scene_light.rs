@@ -1,6 +1,5 @@
 //! The images of one object through all lenses.
 
-use super::growth::GrowthImages;
 use super::wavefront::Kept;
 use crate::psf::LensImage;
 use ndarray::Array2;
@@ -19,8 +18,8 @@ pub struct SceneLight {
     pub(super) planes: Vec<Images>,
     /// What the object emits, [object rows, object cols].
     pub(super) emitted: Array2<f32>,
-    /// Its images under PSFs that grow.
-    pub(super) growth: GrowthImages,
+    /// Its images under PSFs that grow, by the order of the derivative.
+    pub(super) growth: [Images; 2],
     /// Changes of its images by wavefronts that effects add, lens by lens.
     pub(super) changes: Kept<LensImage>,
     /// Changes of its images from the planned plane to the others, as pupils have it, lens by lens.
