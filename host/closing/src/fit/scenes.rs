@@ -28,8 +28,8 @@ impl Emission {
             (Some(own), Some(other)) => Weak::ptr_eq(own, other),
             (own, other) => own.is_none() && other.is_none(),
         };
-        let acts = |t: &Term| (t.id(), t.params.clone(), t.table.clone());
-        same && self.effects.iter().map(acts).eq(other.effects.iter().map(acts))
+        let alike = |(a, b): (&Term, &Term)| a.id() == b.id() && a.params == b.params && a.table == b.table;
+        same && self.effects.len() == other.effects.len() && self.effects.iter().zip(&other.effects).all(alike)
     }
 }
 

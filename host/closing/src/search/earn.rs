@@ -7,7 +7,7 @@ use super::candidate::Found;
 use super::select::{SHADOW, Search};
 use super::trials::Tried;
 use crate::evidence::{Constancy, maps, tables};
-use crate::fit::{Fitted, Model, Scenes, State, Term, refit, refit_from};
+use crate::fit::{Fitted, Model, State, Term, refit, refit_from};
 use ommatidia_model::forward::ForwardError;
 
 /// Names whose strengths are the same everywhere stand instead of terms without a name that hold them, if they explain
@@ -143,7 +143,7 @@ fn polished(model: &Model<'_>, state: &State, own: usize) -> Result<Fitted, Forw
     let mut fit = None;
     let mut state = state.clone();
     for _ in 0..if tables.is_empty() { 1 } else { ROUNDS } {
-        let scenes: Scenes = model.scenes(&state)?;
+        let scenes = model.scenes(&state)?;
         for i in &tables {
             let mut without = state.clone();
             let old = without.terms.remove(*i);
