@@ -212,5 +212,6 @@ fn only_what_lies_in_another_plane_needs_its_images() {
     assert!(scene.planes[1].get().is_some());
     let other = deeper.scene(object().view(), &Chain::default(), &deeper.context()).unwrap();
     let expected = deeper.light_e(&other, &Chain::default(), &deeper.context());
-    assert!(expected.sum() > 0.0 && (&found - &expected).iter().all(|d| d.abs() < 1e-4 * expected.sum()));
+    let most = expected.iter().fold(0.0f32, |m, v| m.max(*v));
+    assert!(most > 0.0 && (&found - &expected).iter().all(|d| d.abs() < 1e-4 * most));
 }
