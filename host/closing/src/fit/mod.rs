@@ -1,10 +1,10 @@
 //! Predicts the frames of a session from a state, and fits the state.
 //!
 //! [`state`] holds effects and nuisance parameters, [`model`] makes the light of frames of them, which states share
-//! (`scenes`), and `predict` the frames with their residuals, [`derivative`] their derivatives, [`design`] sums these
-//! over [`cell`]s, `repeats` adds what repeated frames show of the noise (by its `features`, with `kurtosis` the few
-//! pixels that scatter more than the others, and `rhythm` a wave in their rows), and `same` says which frames of
-//! unknown specimens are repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in
+//! (`scenes`, `in_use`), and `predict` the frames with their residuals, [`derivative`] their derivatives, [`design`]
+//! sums these over [`cell`]s, `repeats` adds what repeated frames show of the noise (by its `features`, with `kurtosis`
+//! the few pixels that scatter more than the others, and `rhythm` a wave in their rows), and `same` says which frames
+//! of unknown specimens are repeats; [`mod@refit`] finds the best state. [`truth`] moves truths that are not quite in
 //! place, `registration` names the values, and `prior` adds what is known of nuisances beside the frames. [`lamp`] is
 //! the light of the flats. Before the first fit [`record`] checks the session's objects, `orientation` whether frames
 //! are turned, [`exposures`], `units` and `flicker` their light (`scene_light`), and [`pedestal`] how dark they are
@@ -20,6 +20,7 @@ pub mod exposures;
 pub(crate) mod features;
 pub(crate) mod flicker;
 pub(crate) mod gauge;
+mod in_use;
 mod kurtosis;
 pub mod lamp;
 pub mod model;

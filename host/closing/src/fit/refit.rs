@@ -183,8 +183,6 @@ pub fn refit_from_within(
         t.params.iter_mut().filter(|_| !is_fitted).for_each(|v| *v = 0.0);
     }
     let columns: Vec<Column> = nuisances(model).into_iter().chain(own).collect();
-    // Only effects on the emission change the light behind the optics.
-    let emission = state.terms.iter().any(|t| t.effect.descriptor().stage == Stage::Object);
     let mut at = Point::of(model, &state, &columns, scenes)?;
     let mut slope = at.slope(model, &state, &columns)?;
     let mut damping = 1e-3;
@@ -198,7 +196,7 @@ pub fn refit_from_within(
         if given_up {
             break;
         }
-        let scenes = if emission { model.scenes(&proposal)? } else { at.scenes.clone() };
+        let scenes = model.scenes(&proposal)?;
         let next = Point::of(model, &proposal, &columns, scenes)?;
         let fall = at.training.deviance - next.training.deviance;
         if fall > 0.0 {

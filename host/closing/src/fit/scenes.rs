@@ -1,10 +1,11 @@
 //! The light of the frames' objects behind the optics, which states share that emit the same.
 
+use super::in_use::InUse;
 use super::projection::Specimens;
 use super::state::{State, Term};
 use ommatidia_model::forward::SceneLight;
 use ommatidia_physics::effects::Stage;
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Weak};
 
 /// The light of each frame's object behind the optics ([`super::Model::scenes`]). Few effects change it.
 pub type Scenes = Arc<[Option<SceneLight>]>;
@@ -33,29 +34,19 @@ impl Emission {
     }
 }
 
-/// The light behind the optics of an emission, as long as a state uses it.
-struct Shared {
-    emission: Emission,
-    scenes: Weak<[Option<SceneLight>]>,
-}
-
 /// The light behind the optics that states of a model are using.
 #[derive(Default)]
-pub(super) struct ScenesInUse(Mutex<Vec<Shared>>);
+pub(super) struct ScenesInUse(InUse<Emission, [Option<SceneLight>]>);
 
 impl ScenesInUse {
-    /// That of a state: one that is in use, or a new one. No lock is held while it is computed.
+    /// That of a state: one that is in use, or a new one.
     pub(super) fn of<E>(&self, state: &State, compute: impl FnOnce() -> Result<Scenes, E>) -> Result<Scenes, E> {
         let emission = Emission::of(state);
-        let in_use = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let found = in_use().iter().filter(|s| s.emission.is(&emission)).find_map(|s| s.scenes.upgrade());
-        if let Some(scenes) = found {
-            return Ok(scenes);
+        if let Some(same) = self.0.find(|other, _| other.is(&emission)) {
+            return Ok(same);
         }
         let new = compute()?;
-        let mut all = in_use();
-        all.retain(|s| s.scenes.strong_count() > 0);
-        all.push(Shared { emission, scenes: Arc::downgrade(&new) });
+        self.0.add(emission, &new);
         Ok(new)
     }
 }

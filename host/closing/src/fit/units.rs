@@ -1,7 +1,7 @@
 //! Objects in units of light of their own.
 //!
-//! They are corrected before the first fit: what makes all frames differ at random, by a tenth and more, is no effect of
-//! an instrument.
+//! They are corrected before the first fit: what makes all frames differ at random, by a tenth and more, is no effect
+//! of an instrument.
 
 use super::record::{SMOOTH_PX, Seen, correlation, median};
 use super::scene_light::{ALIKE, scatter, slopes};

@@ -309,8 +309,8 @@ pub(super) fn line(o: &Outcome) -> String {
 }
 
 /// Head of a table of sessions, one [`line`] each.
-pub(super) const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | explained F |\n\
-|---|---|---|---|---|---|---|";
+pub(super) const SESSIONS: &str = "| injected | instrument | sigma | found | false names | called incomplete | \
+                                   explained F |\n|---|---|---|---|---|---|---|";
 
 fn lines(out: &mut String, all: &[Outcome], question: Question) -> std::fmt::Result {
     let mut of: Vec<&Outcome> = all.iter().filter(|o| o.case.question == question && o.error.is_none()).collect();

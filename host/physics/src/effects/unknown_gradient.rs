@@ -19,7 +19,8 @@ const fn strength(name: &'static str) -> Param {
 static DESCRIPTOR: Descriptor = Descriptor {
     id: "unknown_gradient",
     stage: Stage::Light,
-    summary: "mu (1 + a y + b x + c y^2 + d x^2 + e y x): an unnamed term, a factor that changes slowly over the sensor",
+    summary: "mu (1 + a y + b x + c y^2 + d x^2 + e y x): an unnamed term, a factor that changes slowly over the \
+              sensor",
     params: &[
         strength("by_row"),
         strength("by_col"),

@@ -341,8 +341,9 @@ fn outcome(path: &Path, body: &Body, figures: &RunFigures) -> anyhow::Result<Out
     let rate = if seconds > 0.0 { (body.step - first_step) as f64 / seconds } else { 0.0 };
     let json = serde_json::json!({
         "checkpoint": in_json(path), "network": body.network, "parameters": parameters, "pairs": pairs,
-        "steps": body.step, "seconds": seconds, "steps_per_second": rate, "step_seconds": step_seconds, "best_step": body.best_step,
-        "psnr_db": best.psnr_db, "ssim": best.ssim, "validation_loss": best.validation_loss, "curve": body.curve,
+        "steps": body.step, "seconds": seconds, "steps_per_second": rate, "step_seconds": step_seconds,
+        "best_step": body.best_step, "psnr_db": best.psnr_db, "ssim": best.ssim,
+        "validation_loss": best.validation_loss, "curve": body.curve,
     });
     let text = format!(
         "{}\n  {} parameters, {} steps in {seconds:.1} s ({rate:.1} a second; {:.1} ms a step alone)\n  best \

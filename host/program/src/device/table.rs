@@ -87,10 +87,10 @@ except the complex ones, which work in place; convolutions and the network read 
 integers* have weights of 8 bits and features of 16 (`quantize --weights int8 --activations int16`), those *in bytes*
 features of 8 (`--activations int8`). Results have the same bits on every board as on the workstation. The C libraries
 work in single precision (f32) or in half precision throughout (f16), whose results may differ between machines, or in
-integers, which are exact: weights of 8 bits, features of 8 (s8) or of 16 (s16). Their counts were taken earlier under QEMU 7.2 with the better of gcc 12 and clang
-19; those in integers are of release 7.0.0 of CMSIS-NN, with gcc 12. `python3 tests/cmsis_nn/count.py FOLDER` repeats
-the latter for the release in a folder and the compiler that is installed. It also compares the library's results with
-those of a plain loop.
+integers, which are exact: weights of 8 bits, features of 8 (s8) or of 16 (s16). Their counts were taken earlier under
+QEMU 7.2 with the better of gcc 12 and clang 19; those in integers are of release 7.0.0 of CMSIS-NN, with gcc 12.
+`python3 tests/cmsis_nn/count.py FOLDER` repeats the latter for the release in a folder and the compiler that is
+installed. It also compares the library's results with those of a plain loop.
 
 A test of `cargo verify` counts again. It fails if a figure has grown by more than 2 %, if a table lacks an operator,
 or if a library needs fewer instructions. After an intended change, write the page again with the command above, or

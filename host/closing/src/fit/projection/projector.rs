@@ -12,10 +12,11 @@
 use super::normal::normal;
 use super::products::LANES;
 use super::views::Views;
+use crate::fit::in_use::InUse;
 use ndarray::Array2;
 use ommatidia_physics::linalg::{Cholesky32, NotPositive};
 use rayon::prelude::*;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError, Weak};
+use std::sync::{Arc, OnceLock};
 
 /// lambda over the mean diagonal element of A' W A. What is left of a specimen has the norm `sqrt(lambda) / 2 |x|` at
 /// most, far below the noise; single precision carries the factor.
@@ -24,7 +25,7 @@ const LAMBDA: f32 = 1e-4;
 /// The projections of a model that are in use. States that differ in the sensor alone have the same optics, and its
 /// factor takes most of the time.
 #[derive(Default)]
-pub(crate) struct Projectors(Mutex<Vec<Weak<Projector>>>);
+pub(crate) struct Projectors(InUse<(), Projector>);
 
 impl Projectors {
     /// The projection for optics and weights: one that is in use, or a new one.
@@ -32,15 +33,11 @@ impl Projectors {
     /// # Errors
     /// The optics hold non-finite values, or no light.
     pub(crate) fn of(&self, views: Views, weight: Vec<f32>) -> Result<Arc<Projector>, NotPositive> {
-        let in_use = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let all: Vec<Arc<Projector>> = in_use().iter().filter_map(Weak::upgrade).collect();
-        if let Some(same) = all.into_iter().find(|p| p.weight == weight && p.views == views) {
+        if let Some(same) = self.0.find(|(), p| p.weight == weight && p.views == views) {
             return Ok(same);
         }
         let new = Arc::new(Projector::of(views, weight)?);
-        let mut all = in_use();
-        all.retain(|p| p.strong_count() > 0);
-        all.push(Arc::downgrade(&new));
+        self.0.add((), &new);
         Ok(new)
     }
 }

@@ -168,9 +168,9 @@ is the charge at which frames saturate, above the black level, e-. Light that a 
 and none comes from beyond it, for a `ghost` either. Flats, which are lit from there as well, show neither. The mean of
 `veiling_glare` is that over the sensor. In `background`, t is the exposure in ms, P the light level of the frame
 (`illumination` of the session), and s runs from -1 to 1 over the sensor; flats have it too. A depth changes the shape
-of the PSFs, and moves no focus: `z_um` of a `defocus` adds to the recorded depth, with the sign of `z_um` in the table of
-the beads. `spectral_shift` scales the PSF at the same wavefront in waves; a real wavelength changes the wavefront in
-waves too. The smooth part of flats belongs to their lamp, so flats show neither `vignetting` nor
+of the PSFs, and moves no focus: `z_um` of a `defocus` adds to the recorded depth, with the sign of `z_um` in the table
+of the beads. `spectral_shift` scales the PSF at the same wavefront in waves; a real wavelength changes the wavefront
+in waves too. The smooth part of flats belongs to their lamp, so flats show neither `vignetting` nor
 `chief_ray_response`. Where an instrument has an effect already, such as the bend of its sensor (`nonlinearity`), the
 account gives its value in this session, and not the change.
 ";
