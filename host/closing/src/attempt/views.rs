@@ -47,9 +47,8 @@ impl Views {
     /// The parts of the instrument disagree.
     pub fn of(instrument: &Instrument, seen: &Observations) -> Result<Option<Self>, CloseError> {
         let known = seen.frames.iter().filter(|f| matches!(f.shown, Shown::Object(_))).count();
-        // Of large sensors a sample is used, of which no specimen is estimated.
-        let sampled = seen.pixels.len() < seen.sensor[0] * seen.sensor[1];
-        if known < SCENES || sampled || instrument.geometry.anchors_px.len() < 2 {
+        // A region of large frames would say little of where all of a truth lies, and takes long.
+        if known < SCENES || seen.is_part() || instrument.geometry.anchors_px.len() < 2 {
             return Ok(None);
         }
         let mut unknown = seen.clone();
@@ -58,7 +57,7 @@ impl Views {
         // The frames before them are gone as well.
         unknown.frames.retain(|f| f.shown != Shown::Unknown);
         unknown.frames.iter_mut().for_each(|f| f.previous = None);
-        if unknown.frames.iter().filter(|f| f.shown == Shown::Estimated).count() < SCENES {
+        if unknown.is_part() || unknown.frames.iter().filter(|f| f.shown == Shown::Estimated).count() < SCENES {
             return Ok(None);
         }
         let model = Model::new(instrument, &unknown)?;

@@ -1,5 +1,6 @@
 //! The frames of a session that the loop uses, and the faults that its records may have.
 
+mod blocks;
 mod darks;
 mod fault;
 mod observe;
@@ -9,6 +10,7 @@ mod registration;
 mod scaled;
 mod unit;
 
+pub(crate) use blocks::Blocks;
 pub(crate) use darks::{bright_darks, leave_lit_darks_out};
 pub(crate) use fault::unit_note;
 pub use fault::{Fault, FaultKind};

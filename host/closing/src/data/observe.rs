@@ -1,5 +1,6 @@
 //! The frames of a session that the loop uses, and the hold-outs, which are fixed before anything is fitted.
 
+use super::blocks::Blocks;
 use super::recording::{Chooser, Kept, content};
 use super::registration::{Registration, of_stack};
 use ndarray::Array2;
@@ -147,25 +148,47 @@ impl Observations {
             registrations.extend(of_stack(stack, s, &chosen));
             read_stack(session, stack, (s, &chosen), &mut frames, &mut truths)?;
         }
-        let (pixels, blocks) = pixels(sensor, budget);
-        let single = frames.iter().filter(|f: &&Frame| matches!(f.role, Role::Scene | Role::Bead)).count() < 4;
-        let held_out_blocks = (0..blocks.len())
-            .map(|b| match [b / budget.blocks, b % budget.blocks] {
-                [row, col] if single => (row + col) % 2 == 1,
-                [row, col] => (3 * row + col) % 8 == 5,
-            })
-            .collect();
-        Ok(Self {
+        let mut it = Self {
             frames,
             truths,
             registrations,
-            pixels,
-            blocks,
-            held_out_blocks,
+            pixels: Vec::new(),
+            blocks: Vec::new(),
+            held_out_blocks: Vec::new(),
             sensor,
             recorded,
             not_estimated: None,
-        })
+        };
+        let [rows, cols] = sensor;
+        let every = (rows * cols).div_ceil(budget.pixels.max(1));
+        // A Weyl sequence is even and favours neither odd nor even rows and columns.
+        let taken = |r, c| every <= 1 || ((r * cols + c) as f64 * 0.618_033_988_75).fract() * (every as f64) < 1.0;
+        it.use_pixels(taken, budget.blocks);
+        Ok(it)
+    }
+
+    /// Uses those pixels of the sensor that `taken` names by row and column, in blocks of `side` along each side of the
+    /// sensor. Blocks without a pixel are left out.
+    pub(crate) fn use_pixels(&mut self, taken: impl Fn(usize, usize) -> bool, side: usize) {
+        let blocks = Blocks::of(self.sensor, taken, side, self.is_single());
+        (self.pixels, self.blocks, self.held_out_blocks) = (blocks.pixels, blocks.ranges, blocks.held_out);
+    }
+
+    /// Whether there are so few scenes or beads that every second block is held out.
+    pub(crate) fn is_single(&self) -> bool {
+        self.of(Role::Scene).chain(self.of(Role::Bead)).count() < 4
+    }
+
+    /// 1 at pixels that are used, else 0, [sensor rows, sensor cols].
+    pub(crate) fn used(&self) -> Array2<f32> {
+        let mut used = Array2::zeros((self.sensor[0], self.sensor[1]));
+        self.pixels.iter().for_each(|p| used[[*p as usize / self.sensor[1], *p as usize % self.sensor[1]]] = 1.0);
+        used
+    }
+
+    /// Whether some pixels of the sensor are not used.
+    pub(crate) fn is_part(&self) -> bool {
+        self.pixels.len() < self.sensor[0] * self.sensor[1]
     }
 
     /// Index of the registration of frame `k`'s truth; None: it has no truth.
@@ -202,11 +225,6 @@ impl Observations {
         for f in &mut self.frames {
             f.previous = f.previous.and_then(|p| places[p]);
         }
-    }
-
-    /// Spatial blocks along each side of the sensor.
-    pub(crate) fn blocks_per_side(&self) -> usize {
-        self.blocks.len().isqrt()
     }
 
     /// Indices of the frames with a role.
@@ -323,26 +341,6 @@ fn in_pairs(n: usize, most: usize) -> Vec<usize> {
     out
 }
 
-/// An even sample of the pixels, block by block, and the range of each block.
-fn pixels([rows, cols]: [usize; 2], budget: &Budget) -> (Vec<u32>, Vec<std::ops::Range<usize>>) {
-    let side = budget.blocks.max(1);
-    let every = (rows * cols).div_ceil(budget.pixels.max(1));
-    let (mut pixels, mut blocks) = (Vec::new(), Vec::new());
-    for b in 0..side * side {
-        let (i, j) = (b / side, b % side);
-        let start = pixels.len();
-        for r in i * rows / side..(i + 1) * rows / side {
-            let row = j * cols / side..(j + 1) * cols / side;
-            // A Weyl sequence is even and favours neither odd nor even rows and columns.
-            let taken =
-                |c: &usize| every <= 1 || ((r * cols + c) as f64 * 0.618_033_988_75).fract() * (every as f64) < 1.0;
-            pixels.extend(row.filter(taken).map(|c| (r * cols + c) as u32));
-        }
-        blocks.push(start..pixels.len());
-    }
-    (pixels, blocks)
-}
-
 #[cfg(test)]
 #[allow(clippy::unwrap_used)]
 mod tests {
@@ -396,22 +394,5 @@ mod tests {
         assert!(!numbers.contains(&200) && !numbers.contains(&449), "{numbers:?}");
         ommatidia_session::stack::write(&dir.join("scene.npy"), stack.slice(ndarray::s![..6, .., ..])).unwrap();
         assert_eq!(table(6, &[2]), [0, 1, 3, 4, 5]);
-    }
-
-    #[test]
-    fn every_pixel_is_in_one_block_and_a_sample_is_even() {
-        let budget = Budget { pixels: 1_000_000, blocks: 3, ..Budget::default() };
-        let (all, blocks) = pixels([10, 11], &budget);
-        let mut sorted = all.clone();
-        sorted.sort_unstable();
-        assert_eq!(sorted, (0..110).collect::<Vec<u32>>());
-        assert!(blocks.len() == 9 && blocks.windows(2).all(|w| w[0].end == w[1].start));
-        let (some, _) = pixels([100, 100], &Budget { pixels: 1000, blocks: 4, ..Budget::default() });
-        let odd = some.iter().filter(|p| *p % 2 == 1).count();
-        assert!(
-            (900..1100).contains(&some.len()) && (some.len() as i64 - 2 * odd as i64).abs() < 100,
-            "{}",
-            some.len()
-        );
     }
 }

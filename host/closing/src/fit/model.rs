@@ -71,6 +71,8 @@ pub struct Model<'a> {
     pub(super) rings: Vec<Ring>,
     /// Noise of the frames whose specimens are estimated, from their first estimate.
     pub(super) sigmas: OnceLock<Arc<Sigmas>>,
+    /// What the objects of these frames hold outside of the region that is used, from their first estimate.
+    pub(super) beside: OnceLock<Vec<Array2<f32>>>,
     /// What takes specimens out of frames.
     pub(super) projectors: Projectors,
     /// The light behind the optics that states share.
@@ -104,6 +106,7 @@ impl<'a> Model<'a> {
             window_px: instrument.psf.basis.dim().2,
             rings: wings::fitted(seen, instrument.psf.basis.dim().2 / 2, quality.outside_window),
             sigmas: OnceLock::new(),
+            beside: OnceLock::new(),
             projectors: Projectors::default(),
             scenes: ScenesInUse::default(),
         })

@@ -41,6 +41,8 @@ impl Model<'_> {
                 Alone { sum_e: sum, wings_e: wings, light_e: light, scale }
             })
             .collect();
+        // Outside of a region what estimates leave is no residual.
+        let region = self.seen.is_part().then(|| self.seen.used());
         let mut predicted: Vec<Predicted> = alone
             .par_iter()
             .enumerate()
@@ -56,6 +58,7 @@ impl Model<'_> {
                 let (mut residual_dn, detail) = residual(f, &dn);
                 let top = noise.saturation_dn;
                 let mut inverse_sigma = Array2::zeros(dn.dim());
+                let region = region.as_ref().filter(|_| f.shown == Shown::Estimated);
                 let mut variance = match state.specimens.as_ref().and_then(|s| s.sigma(k)) {
                     Some(sigma) => sigma * sigma,
                     None => self.variance_dn2(&light_e),
@@ -78,6 +81,9 @@ impl Model<'_> {
                         }
                     },
                 );
+                if let Some(region) = region {
+                    inverse_sigma *= region;
+                }
                 Predicted {
                     sum_e: sum_e.clone(),
                     wings_e: wings_e.clone(),
@@ -92,7 +98,11 @@ impl Model<'_> {
             .collect();
         if let Some(specimens) = &state.specimens {
             let frames = predicted.iter_mut().zip(&self.seen.frames).filter(|(_, f)| f.shown == Shown::Estimated);
-            specimens.remove(&mut frames.map(|(p, _)| &mut p.residual_dn).collect::<Vec<_>>());
+            let mut residuals: Vec<&mut Array2<f32>> = frames.map(|(p, _)| &mut p.residual_dn).collect();
+            specimens.remove(&mut residuals);
+            if let Some(region) = &region {
+                residuals.into_iter().for_each(|r| *r *= region);
+            }
         }
         predicted
     }

@@ -15,7 +15,7 @@ impl Views {
     /// A x for L objects at once: [object pixels] -> [sensor pixels].
     pub(crate) fn forward<const L: usize>(&self, objects: &[[f32; L]]) -> Vec<[f32; L]> {
         let [rows, cols] = self.bordered();
-        let band = self.unknowns().div_ceil(rayon::current_num_threads()).max(1);
+        let band = self.pixels().len().div_ceil(rayon::current_num_threads()).max(1);
         let parts = objects.par_chunks(band).enumerate().map(|(b, objects)| {
             let mut out = vec![[0.0; L]; rows * cols];
             dispatch::<L>(Spread { views: self, first: b * band, objects, out: &mut out });
@@ -32,7 +32,7 @@ impl Views {
     /// A' y for L frames at once: [sensor pixels] -> [object pixels].
     pub(crate) fn adjoint<const L: usize>(&self, frames: &[[f32; L]]) -> Vec<[f32; L]> {
         let frames = self.with_border(frames, [0.0; L]);
-        let mut out = vec![[0.0; L]; self.unknowns()];
+        let mut out = vec![[0.0; L]; self.pixels().len()];
         let band = self.object()[1].max(1);
         out.par_chunks_mut(band).enumerate().for_each(|(b, out)| {
             dispatch::<L>(Collect { views: self, first: b * band, frames: &frames, out });
@@ -113,11 +113,10 @@ trait Product<const L: usize> {
             if x >= end {
                 return;
             }
-            let in_row = views.object()[1] - x % views.object()[1];
-            let step = if in_row.min(end - x) >= TOGETHER { TOGETHER } else { 1 };
+            let step = if x + TOGETHER <= end && views.are_side_by_side(x, TOGETHER) { TOGETHER } else { 1 };
             let whole = step == TOGETHER && L.is_multiple_of(S::F32_LANES);
             for lens in 0..lenses {
-                match self.pixels().0.places(lens, x).filter(|_| whole) {
+                match whole.then(|| self.pixels().0.places(lens, x)).flatten() {
                     Some(at) => self.several(simd, (lens, at), i),
                     None => {
                         for i in i..i + step {
@@ -293,6 +292,7 @@ fn add<S: Simd, const L: usize>(simd: S, sum: &mut [f32; L], h: f32, x: &[f32; L
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fit::projection::Footprint;
     use ndarray::Array2;
 
     /// Windows at the middle, over each edge and off the sensor, for objects whose rows are no multiple of
@@ -300,14 +300,16 @@ mod tests {
     fn compare<const L: usize>() {
         let (object, sensor, side) = ([5, 11], [17, 23], 5);
         let corners = vec![[4, 6], [-3, -4], [9, 15], [15, -30], [16, 3]];
-        let mut views = Views::dark(object, sensor, side, corners.clone());
+        // All but two object pixels are unknown.
+        let pixels: Vec<u32> = (0..(object[0] * object[1]) as u32).filter(|p| ![14, 37].contains(p)).collect();
+        let mut views = Views::dark(Footprint { object, sensor, side, corners: corners.clone() }, pixels);
         let value = |k: usize| ((k * 37 % 101) as f32) / 101.0 - 0.3;
         let image = Array2::from_shape_fn((sensor[0], sensor[1]), |(r, c)| value(3 * r + 5 * c));
         for lens in 0..corners.len() {
-            (0..object[0] * object[1]).for_each(|x| views.take(lens, [x / object[1], x % object[1]], &image));
+            (0..views.pixels().len()).for_each(|x| views.take(lens, x, &image));
         }
         let objects: Vec<[f32; L]> =
-            (0..views.unknowns()).map(|x| std::array::from_fn(|lane| value(x + 13 * lane))).collect();
+            (0..views.pixels().len()).map(|x| std::array::from_fn(|lane| value(x + 13 * lane))).collect();
         let frames: Vec<[f32; L]> =
             (0..sensor[0] * sensor[1]).map(|p| std::array::from_fn(|lane| value(7 * p + lane))).collect();
         let mut light = vec![[0.0f64; L]; frames.len()];

@@ -92,8 +92,13 @@ impl Projector {
                 pixel[lane] = v * w;
             }
         }
-        let right = self.views.adjoint(&frames);
-        (0..images.len()).flat_map(|lane| right.iter().map(move |v| v[lane])).collect()
+        let (right, n) = (self.views.adjoint(&frames), self.views.unknowns());
+        let mut sums = vec![0.0; n * images.len()];
+        for (x, v) in right.iter().enumerate() {
+            let unknown = self.views.unknown(x);
+            (0..images.len()).for_each(|lane| sums[lane * n + unknown] += v[lane]);
+        }
+        sums
     }
 
     /// Takes the light of objects, one after the other, out of at most [`LANES`] images.
@@ -105,10 +110,9 @@ impl Projector {
     }
 
     fn subtract_of<const L: usize>(&self, images: &mut [&mut Array2<f32>], columns: &[f32]) {
-        let n = self.views.unknowns();
-        let mut objects = vec![[0.0; L]; n];
-        for (lane, column) in columns.chunks_exact(n).enumerate() {
-            objects.iter_mut().zip(column).for_each(|(object, v)| object[lane] = *v);
+        let mut objects = vec![[0.0; L]; self.views.pixels().len()];
+        for (lane, column) in columns.chunks_exact(self.views.unknowns()).enumerate() {
+            objects.iter_mut().enumerate().for_each(|(x, object)| object[lane] = column[self.views.unknown(x)]);
         }
         let light = self.views.forward(&objects);
         for (lane, image) in images.iter_mut().enumerate() {

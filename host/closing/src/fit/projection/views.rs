@@ -1,41 +1,101 @@
-//! The optics as an explicit matrix: for each object pixel the window of light behind each lens.
+//! The optics as an explicit matrix: for each object pixel that is not known the window of light behind each lens.
 //!
 //! The rows of a window are filled up with zeros to whole vectors.
 
+use super::footprint::Footprint;
 use ndarray::Array2;
+use rayon::prelude::*;
+use std::collections::HashMap;
 
+/// Share of the light of an object pixel below which what falls on pixels that are used is a tail.
+const TAIL: f32 = 0.1;
+/// Rows and columns of object pixels that become one unknown. Tiles of the normal matrix hold whole ones.
+pub(super) const MERGED: usize = 4;
 /// The rows of windows are filled up to a multiple of so many values.
 const VECTOR: usize = 8;
 
-/// The light of unit sources at all object pixels behind all lenses, electrons at the exposure of the calibration.
+/// The light of unit sources at object pixels behind all lenses, electrons at the exposure of the calibration.
 #[derive(PartialEq)]
 pub(crate) struct Views {
     object: [usize; 2],
     sensor: [usize; 2],
+    /// The object pixels that are not known: flat indices, ascending.
+    pixels: Vec<u32>,
+    /// The unknown that each of them belongs to; unknowns are numbered in the order of their first pixels.
+    unknowns: Vec<u32>,
     /// Rows and columns of a window.
     side: usize,
     /// For each lens the sensor pixel at which the window of object pixel (0, 0) begins, [row, col]. That of pixel
     /// (r, c) begins r rows and c columns further.
     corners: Vec<[isize; 2]>,
-    /// For each lens [object pixels, side, width].
+    /// For each lens [these pixels, side, width].
     windows: Vec<Vec<f32>>,
 }
 
 impl Views {
-    /// Number of values that a matrix of this size takes.
-    pub(crate) fn values(object: [usize; 2], side: usize, lenses: usize) -> usize {
-        object[0] * object[1] * lenses * side * side.next_multiple_of(VECTOR)
+    /// Number of values that a matrix of so many object pixels takes.
+    pub(crate) fn values(pixels: usize, side: usize, lenses: usize) -> usize {
+        pixels * lenses * side * side.next_multiple_of(VECTOR)
     }
 
-    /// Dark windows of `side` pixels that begin at `corners` for object pixel (0, 0).
-    pub(crate) fn dark(object: [usize; 2], sensor: [usize; 2], side: usize, corners: Vec<[isize; 2]>) -> Self {
-        let windows = vec![vec![0.0; Self::values(object, side, 1)]; corners.len()];
-        Self { object, sensor, side, corners, windows }
+    /// Dark windows of `footprint` for the object pixels `pixels`: flat indices, ascending. Each is an unknown.
+    pub(crate) fn dark(footprint: Footprint, pixels: Vec<u32>) -> Self {
+        let Footprint { object, sensor, side, corners } = footprint;
+        let windows = vec![vec![0.0; Self::values(pixels.len(), side, 1)]; corners.len()];
+        let unknowns = (0..pixels.len() as u32).collect();
+        Self { object, sensor, pixels, unknowns, side, corners, windows }
     }
 
-    /// Number of object pixels.
+    /// The object pixels that are not known: flat indices, ascending.
+    pub(crate) fn pixels(&self) -> &[u32] {
+        &self.pixels
+    }
+
+    /// Number of unknowns.
     pub(crate) fn unknowns(&self) -> usize {
-        self.object[0] * self.object[1]
+        self.unknowns.iter().max().map_or(0, |last| *last as usize + 1)
+    }
+
+    /// The unknown that the `x`-th object pixel belongs to.
+    pub(super) fn unknown(&self, x: usize) -> usize {
+        self.unknowns[x] as usize
+    }
+
+    /// Makes one unknown of neighbouring object pixels that are seen by their faint tails alone: those of which behind
+    /// each lens less than [`TAIL`] of the light falls on pixels that are used (1 in `used`, else 0, [sensor rows,
+    /// sensor cols]). Tails are smooth, so that they show the sum of such pixels and hardly their detail.
+    pub(crate) fn merge_tails(&mut self, used: &Array2<f32>) {
+        let is_tail = |x: usize| {
+            let of_lens = |lens: usize| {
+                let ([top, left], window) = (self.corner(lens, x), self.window(lens, x));
+                let mut sums = [0.0f32; 2];
+                for (i, row) in window.chunks_exact(self.width()).enumerate() {
+                    for (j, v) in row.iter().enumerate().filter(|(_, v)| **v != 0.0) {
+                        let at =
+                            [top + i as isize, left + j as isize].map(|v| usize::try_from(v).unwrap_or(usize::MAX));
+                        sums[0] += v * used.get(at).copied().unwrap_or(0.0);
+                        sums[1] += v;
+                    }
+                }
+                sums
+            };
+            let lenses: Vec<[f32; 2]> = (0..self.lenses()).map(of_lens).collect();
+            let most = |i: usize| lenses.iter().fold(0.0f32, |m, sums| m.max(sums[i]));
+            most(0) < TAIL * most(1)
+        };
+        let tails: Vec<bool> = (0..self.pixels.len()).into_par_iter().map(is_tail).collect();
+        let mut first = HashMap::new();
+        let mut count = 0;
+        for (x, is_tail) in tails.into_iter().enumerate() {
+            let mut new = || {
+                count += 1;
+                count - 1
+            };
+            self.unknowns[x] = match is_tail {
+                true => *first.entry(self.place_of(x).map(|v| v / MERGED)).or_insert_with(new),
+                false => new(),
+            };
+        }
     }
 
     /// Rows and columns of the object.
@@ -48,9 +108,9 @@ impl Views {
         self.sensor
     }
 
-    /// Takes the window of an object pixel from the image of a lens.
-    pub(crate) fn take(&mut self, lens: usize, [r, c]: [usize; 2], image: &Array2<f32>) {
-        let (area, width, x) = (self.side * self.width(), self.width(), r * self.object[1] + c);
+    /// Takes the window of the `x`-th object pixel from the image of a lens.
+    pub(crate) fn take(&mut self, lens: usize, x: usize, image: &Array2<f32>) {
+        let (area, width) = (self.side * self.width(), self.width());
         let [top, left] = self.corner(lens, x);
         for (i, row) in self.windows[lens][x * area..(x + 1) * area].chunks_exact_mut(width).enumerate() {
             for (j, v) in row[..self.side].iter_mut().enumerate() {
@@ -76,14 +136,34 @@ impl Views {
         self.side
     }
 
-    /// The sensor pixel at which the window of object pixel `x` begins.
+    /// Row and column in the object of the `x`-th object pixel that is not known.
     #[inline(always)]
-    pub(super) fn corner(&self, lens: usize, x: usize) -> [isize; 2] {
-        let [row, col] = self.corners[lens];
-        [row + (x / self.object[1]) as isize, col + (x % self.object[1]) as isize]
+    pub(super) fn place_of(&self, x: usize) -> [usize; 2] {
+        let pixel = self.pixels[x] as usize;
+        [pixel / self.object[1], pixel % self.object[1]]
     }
 
-    /// The window of an object pixel, [side, width].
+    /// The sensor pixel at which its window begins.
+    #[inline(always)]
+    pub(super) fn corner(&self, lens: usize, x: usize) -> [isize; 2] {
+        self.corner_at(lens, self.place_of(x))
+    }
+
+    /// The sensor pixel at which the window of the object pixel in row `r` and column `c` begins.
+    #[inline(always)]
+    pub(super) fn corner_at(&self, lens: usize, [r, c]: [usize; 2]) -> [isize; 2] {
+        let [row, col] = self.corners[lens];
+        [row + r as isize, col + c as isize]
+    }
+
+    /// Whether the object pixels `x` to `x + count - 1` lie side by side in one row of the object.
+    #[inline(always)]
+    pub(super) fn are_side_by_side(&self, x: usize, count: usize) -> bool {
+        let last = self.pixels.get(x + count - 1).is_some_and(|p| *p as usize == self.pixels[x] as usize + count - 1);
+        last && self.pixels[x] as usize % self.object[1] + count <= self.object[1]
+    }
+
+    /// The window of the `x`-th object pixel, [side, width].
     #[inline(always)]
     pub(super) fn window(&self, lens: usize, x: usize) -> &[f32] {
         let area = self.side * self.width();

@@ -1,36 +1,37 @@
 //! Which frames of unknown specimens have their specimens estimated.
 
 use super::probe::MARGIN;
-use crate::data::{Observations, Shown, best_of_parts, content};
-use crate::fit::projection::Views;
+use super::region::{Size, blocks_per_side, region};
+use crate::data::{Blocks, Observations, Shown, best_of_parts, content};
+use crate::fit::projection::{Footprint, Views};
+use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 
 /// Most object pixels whose normal matrix is factored: it takes 4 bytes for each pair, and 1.2 gigabytes at most. Up to
 /// four states of a search have one.
 const MOST_UNKNOWNS: usize = 17_000;
+/// The same where they are those of a region: effects that move light make them more.
+const MOST_OF_REGION: usize = 10_000;
 /// Most values of the optics as a matrix, which take 4 bytes each: a gigabyte.
 const MOST_VALUES: usize = 1 << 28;
+/// Most sensor pixels: whole frames are predicted for each state.
+const MOST_SENSOR: usize = 1 << 20;
 /// Most frames whose specimens are estimated: of so many parts of a longer recording the one that shows most.
 const MOST_FRAMES: usize = 8;
 
-/// Marks the frames of unknown specimens whose specimens are estimated: where no frame shows a known object, and object
-/// and sensor have few enough pixels. Their hold-outs are spatial blocks, which other lenses show as well.
+/// Marks the frames of unknown specimens whose specimens are estimated: where no frame shows a known object. Their
+/// hold-outs are spatial blocks, which other lenses show as well. Of large frames a region is used, in all frames.
 pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
     let known = |shown: &Shown| matches!(shown, Shown::Object(_) | Shown::Bead(_));
-    let [rows, cols] = [instrument.manifest.object.rows, instrument.manifest.object.cols];
-    let sampled = seen.pixels.len() < seen.sensor[0] * seen.sensor[1];
-    let (lenses, side) = (instrument.geometry.anchors_px.len(), instrument.psf.basis.dim().2 + 2 * MARGIN);
-    let large = rows * cols > MOST_UNKNOWNS || Views::values([rows, cols], side, lenses) > MOST_VALUES;
     if instrument.sensor_only() || seen.frames.iter().any(|f| known(&f.shown)) {
-        return;
-    }
-    let is_unknown = seen.frames.iter().any(|f| f.shown == Shown::Unknown);
-    if large || sampled {
-        seen.not_estimated = is_unknown.then(|| not_estimated([rows, cols], lenses, side));
         return;
     }
     let unknown: Vec<usize> = (0..seen.frames.len()).filter(|k| seen.frames[*k].shown == Shown::Unknown).collect();
     let Some(z_um) = unknown.first().map(|k| seen.frames[*k].info.z_um) else { return };
+    if let Err(why) = use_region(instrument, seen) {
+        seen.not_estimated = Some(why);
+        return;
+    }
     let at_depth: Vec<usize> = unknown.into_iter().filter(|k| seen.frames[*k].info.z_um == z_um).collect();
     let full_dn = 0.99 * instrument.noise.saturation_dn;
     let contents: Vec<f64> = at_depth.iter().map(|k| content(&seen.frames[*k].measured, full_dn)).collect();
@@ -41,16 +42,74 @@ pub fn estimate_specimens(instrument: &Instrument, seen: &mut Observations) {
     }
 }
 
-/// Says that specimens were not estimated, and why.
-fn not_estimated([rows, cols]: [usize; 2], lenses: usize, side: usize) -> String {
-    format!(
-        "the specimens are unknown, and were not estimated, so that nothing here tests the optics: objects of {rows} x \
-         {cols} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory than `close` \
-         uses. Objects of at most {MOST_UNKNOWNS} pixels are estimated, and {:.0} million values of the optics (object \
-         pixels times lenses times pixels of a window): a coarser grid of object pixels or `calibrate --window` with \
-         smaller windows makes it possible",
-        MOST_VALUES as f64 / 1e6
-    )
+/// Uses a region of large frames, so that their specimens can be estimated. Says why there is none.
+fn use_region(instrument: &Instrument, seen: &mut Observations) -> Result<(), String> {
+    let object = [instrument.manifest.object.rows, instrument.manifest.object.cols];
+    let (pixels, sensor) = (object[0] * object[1], seen.sensor);
+    let footprint = footprint(instrument, sensor);
+    let (lenses, side) = (footprint.corners.len(), footprint.side);
+    let fits = pixels <= MOST_UNKNOWNS && Views::values(pixels, side, lenses) <= MOST_VALUES;
+    if fits && !seen.is_part() {
+        return Ok(());
+    }
+    let unestimated = |why: String| {
+        format!("the specimens are unknown, and were not estimated, so that nothing here tests the optics: {why}")
+    };
+    if sensor[0] * sensor[1] > MOST_SENSOR {
+        return Err(unestimated(format!(
+            "frames of {} x {} pixels take too long. Frames of at most {MOST_SENSOR} pixels are used: `session.toml` of \
+             a part of the sensor, or binned pixels, make it possible",
+            sensor[0], sensor[1]
+        )));
+    }
+    let most = Size { pixels: MOST_VALUES / Views::values(1, side, lenses).max(1), unknowns: MOST_OF_REGION };
+    let region = match fits {
+        true => Some(footprint.alone(&Array2::from_elem(object, true), 1)),
+        false => region(&footprint, &light(seen, instrument.noise.black_level_dn), most),
+    };
+    let region = region.ok_or_else(|| {
+        unestimated(format!(
+            "objects of {} x {} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory \
+             than `close` uses, and no part of the sensor sees few enough of their pixels by itself. A coarser grid of object pixels or `calibrate --window` with smaller windows makes it \
+             possible",
+            object[0], object[1]
+        ))
+    })?;
+    let (taken, single) = (|r, c| region[[r, c]], seen.is_single());
+    let held_out = |side: usize| {
+        let blocks = Blocks::of(sensor, taken, side, single);
+        let mut out = Array2::from_elem((sensor[0], sensor[1]), false);
+        for (span, _) in blocks.ranges.into_iter().zip(blocks.held_out).filter(|(_, held_out)| *held_out) {
+            blocks.pixels[span].iter().for_each(|p| out[[*p as usize / sensor[1], *p as usize % sensor[1]]] = true);
+        }
+        out
+    };
+    let side = blocks_per_side(&footprint, &region, held_out);
+    seen.use_pixels(taken, side);
+    Ok(())
+}
+
+/// Where the light of each object pixel falls, with the widest windows.
+fn footprint(instrument: &Instrument, sensor: [usize; 2]) -> Footprint {
+    let object = [instrument.manifest.object.rows, instrument.manifest.object.cols];
+    let side = instrument.psf.basis.dim().2 + 2 * MARGIN;
+    let rays = &instrument.geometry;
+    let living = rays.anchors_px.iter().zip(&rays.dead).filter(|(_, dead)| !**dead);
+    let corner = |(anchor, _): (&[f64; 2], _)| {
+        [0, 1].map(|a| {
+            let first = (anchor[a] - (object[a] as f64 - 1.0) / 2.0).round() as isize;
+            first - (side / 2) as isize
+        })
+    };
+    Footprint { object, sensor, side, corners: living.map(corner).collect() }
+}
+
+/// Mean light of the frames of unknown specimens, DN above black, [sensor rows, sensor cols].
+fn light(seen: &Observations, black_dn: f64) -> Array2<f32> {
+    let mut sum = Array2::zeros((seen.sensor[0], seen.sensor[1]));
+    seen.frames.iter().filter(|f| f.shown == Shown::Unknown).for_each(|f| sum += &f.measured);
+    let count = seen.frames.iter().filter(|f| f.shown == Shown::Unknown).count().max(1);
+    sum.mapv(|v| (v / count as f32 - black_dn as f32).max(0.0))
 }
 
 /// What a session of estimated specimens can and cannot show.
@@ -63,6 +122,20 @@ pub(crate) const UNKNOWN_NOTE: &str = "the specimens are unknown: they were esti
 pub(crate) fn estimated_frames(seen: &Observations) -> Vec<(usize, usize)> {
     let estimated = seen.frames.iter().filter(|f| f.shown == Shown::Estimated);
     estimated.map(|f| (f.stack, f.info.frame)).collect()
+}
+
+/// Which part of the sensor was used; None: all of it, or no specimen was estimated.
+pub(crate) fn region_note(seen: &Observations) -> Option<String> {
+    let is_estimated = seen.frames.iter().any(|f| f.shown == Shown::Estimated);
+    (is_estimated && seen.is_part()).then(|| {
+        format!(
+            "specimens were estimated on {} of the {} sensor pixels, in all frames: what specimens make is taken out \
+             exactly, which takes too much memory for whole objects of this size. These pixels see a part of the \
+             object and nothing else of it. Effects are found as before, with larger errors",
+            seen.pixels.len(),
+            seen.sensor[0] * seen.sensor[1]
+        )
+    })
 }
 
 /// Which frames of a recording took part, or why none did; None: all of them.

@@ -15,13 +15,13 @@ pub(super) const BEFORE_STRAY: usize = 10;
 pub(super) const AFTER_STRAY: usize = 5;
 
 /// Object pixels with less light on the sensor, relative to the brightest, are not estimated.
-const LEAST: f32 = 1e-3;
+pub(super) const LEAST: f32 = 1e-3;
 
 /// An estimated specimen.
 pub(super) struct Estimate {
     /// [object rows, object cols].
     pub(super) object: Array2<f32>,
-    /// Its light on the sensor, electrons, [sensor rows, sensor cols].
+    /// Light of its pixels that are not known on the sensor, electrons, [sensor rows, sensor cols].
     pub(super) light_e: Array2<f32>,
 }
 
@@ -32,16 +32,18 @@ pub(super) struct Estimation<'a> {
     weight: &'a [f32],
     /// Variance of the read noise, electrons squared.
     floor_e2: f32,
-    /// Specimens, each [object pixels].
+    /// Specimens, each [object pixels that are not known].
     objects: Vec<Vec<f32>>,
+    /// What the other object pixels hold, [object rows, object cols].
+    beside: &'a [Array2<f32>],
     /// Iterations that were made.
     done: usize,
 }
 
 impl<'a> Estimation<'a> {
-    /// Begins with even specimens of `frames` frames.
-    pub(super) fn new(views: &'a Views, weight: &'a [f32], floor_e2: f32, frames: usize) -> Self {
-        Self { views, weight, floor_e2, objects: vec![vec![1.0; views.unknowns()]; frames], done: 0 }
+    /// Begins with even specimens of frames whose objects hold `beside` where they are known.
+    pub(super) fn new(views: &'a Views, weight: &'a [f32], floor_e2: f32, beside: &'a [Array2<f32>]) -> Self {
+        Self { views, weight, floor_e2, objects: vec![vec![1.0; views.pixels().len()]; beside.len()], beside, done: 0 }
     }
 
     /// Goes on for so many iterations. `frames_e` are the frames without their dark signal, electrons, [sensor rows,
@@ -70,11 +72,11 @@ impl<'a> Estimation<'a> {
 
     /// The specimens as they are.
     pub(super) fn estimates(&self) -> Vec<Estimate> {
-        let of = |objects: &[Vec<f32>]| match objects.len() {
-            ..=8 => seen::<8>(self.views, objects),
-            _ => seen::<LANES>(self.views, objects),
+        let of = |(objects, beside): (&[Vec<f32>], _)| match objects.len() {
+            ..=8 => seen::<8>(self.views, objects, beside),
+            _ => seen::<LANES>(self.views, objects, beside),
         };
-        self.objects.chunks(LANES).flat_map(of).collect()
+        self.objects.chunks(LANES).zip(self.beside.chunks(LANES)).flat_map(of).collect()
     }
 }
 
@@ -93,7 +95,7 @@ fn iterate<const L: usize>(
     // Low-rank PSFs have small negative values; object pixels with hardly any light on the sensor stay dark.
     let seen = views.adjoint(&used);
     let least = seen.iter().map(|s| s[0]).fold(0.0f32, f32::max) * LEAST;
-    let mut objects: Vec<[f32; L]> = interleaved(found, views.unknowns());
+    let mut objects: Vec<[f32; L]> = interleaved(found, views.pixels().len());
     for _ in 0..iterations {
         let mut ratio = views.forward(&objects);
         for ((r, m), u) in ratio.iter_mut().zip(&measured).zip(&used) {
@@ -110,16 +112,18 @@ fn iterate<const L: usize>(
 }
 
 /// Specimens with their light on the sensor, at most L.
-fn seen<const L: usize>(views: &Views, objects: &[Vec<f32>]) -> Vec<Estimate> {
-    let light = views.forward(&interleaved::<L>(objects, views.unknowns()));
-    let [rows, cols] = views.object();
-    let image = |(lane, object): (usize, &Vec<f32>)| Estimate {
-        object: Array2::from_shape_fn((rows, cols), |(r, c)| object[r * cols + c]),
-        light_e: Array2::from_shape_fn((views.sensor()[0], views.sensor()[1]), |(r, c)| {
-            light[r * views.sensor()[1] + c][lane]
-        }),
+fn seen<const L: usize>(views: &Views, objects: &[Vec<f32>], beside: &[Array2<f32>]) -> Vec<Estimate> {
+    let light = views.forward(&interleaved::<L>(objects, views.pixels().len()));
+    let cols = views.object()[1];
+    let image = |(lane, (unknown, beside)): (usize, (&Vec<f32>, &Array2<f32>))| {
+        let mut object = beside.clone();
+        for (p, v) in views.pixels().iter().zip(unknown) {
+            object[[*p as usize / cols, *p as usize % cols]] = *v;
+        }
+        let light_of = |(r, c): (usize, usize)| light[r * views.sensor()[1] + c][lane];
+        Estimate { object, light_e: Array2::from_shape_fn((views.sensor()[0], views.sensor()[1]), light_of) }
     };
-    objects.iter().enumerate().map(image).collect()
+    objects.iter().zip(beside).enumerate().map(image).collect()
 }
 
 /// Objects of `pixels` pixels, side by side pixel by pixel; what is left of L is dark.

@@ -1,5 +1,6 @@
 //! Estimates the specimens of a session under a state.
 
+use super::beside::beside;
 use super::estimate::{AFTER_STRAY, BEFORE_STRAY, Estimate, Estimation};
 use super::probe::probed;
 use crate::data::{Observations, Shown};
@@ -22,8 +23,9 @@ const LEAST_FLOOR_E2: f64 = 0.1;
 const STRAY_ROUNDS: usize = 8;
 /// This ends where the mean square of its change is below this, in units of the variance of the noise.
 const FAINT_STRAY: f32 = 1e-3;
-/// Draws of noise for the expected squares of the residuals.
-const DRAWS: usize = 4;
+/// Draws of noise for the expected squares of the residuals: of whole frames, and of a region, whose fewer pixels scatter
+/// more.
+const DRAWS: [usize; 2] = [4, 16];
 
 /// Estimates the specimens of all frames of [`Shown::Estimated`] under a state. None: there are none.
 ///
@@ -45,11 +47,11 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
             *w += 1.0 / (noise.variance_dn2(f64::from(*y).max(noise.black_level_dn)) as f32 * frames.len() as f32);
         }
     }
-    let held_out = held_out(seen);
+    let fitted = fitted(seen);
     for (p, w) in weight.iter_mut().enumerate() {
         let at = [p / seen.sensor[1], p % seen.sensor[1]];
         let clipped = |k: &usize| f64::from(seen.frames[*k].measured[at]) >= 0.99 * noise.saturation_dn;
-        if held_out[p] || frames.iter().any(clipped) {
+        if !fitted[p] || frames.iter().any(clipped) {
             *w = 0.0;
         }
     }
@@ -65,7 +67,8 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     // What falls outside the windows, of ghosts and halos for example, and what a bent response adds or takes, is no
     // light that a specimen has to explain. Each round multiplies what is left of it by about its share of all light.
     // Estimates that are not sharp yet show it well enough.
-    let mut estimation = Estimation::new(projector.views(), projector.weight(), floor_e2, frames.len());
+    let beside = model.beside.get_or_init(|| beside(model, &frames, &light, floor_e2));
+    let mut estimation = Estimation::new(projector.views(), projector.weight(), floor_e2, beside);
     estimation.go_on(&light, BEFORE_STRAY);
     let mut explained = Vec::new();
     let mut before = vec![Array2::zeros((seen.sensor[0], seen.sensor[1])); frames.len()];
@@ -118,34 +121,34 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
 fn noise_left(projector: &Projector, sigmas: &Sigmas, seen: &Observations) -> Vec<Vec<f64>> {
     let of_frames: Vec<(usize, &Array2<f32>)> =
         sigmas.iter().enumerate().filter_map(|(k, sigma)| Some((k, sigma.as_ref()?))).collect();
+    let draws = DRAWS[usize::from(seen.is_part())];
     let draw = |(k, sigma): (usize, &Array2<f32>), i: usize| {
-        let mut rng = stream(0x5eed, "specimen", (DRAWS * k + i) as u64);
+        let mut rng = stream(0x5eed, "specimen", (draws * k + i) as u64);
         sigma.mapv(|s| {
             let unit: f32 = StandardNormal.sample(&mut rng);
             unit * s
         })
     };
-    let mut drawn: Vec<Array2<f32>> = of_frames.iter().flat_map(|of| (0..DRAWS).map(|i| draw(*of, i))).collect();
+    let mut drawn: Vec<Array2<f32>> = of_frames.iter().flat_map(|of| (0..draws).map(|i| draw(*of, i))).collect();
     projector.remove(&mut drawn.iter_mut().collect::<Vec<_>>());
     let mut expected = vec![Vec::new(); seen.frames.len()];
-    for ((k, sigma), drawn) in of_frames.into_iter().zip(drawn.chunks_exact(DRAWS)) {
+    for ((k, sigma), drawn) in of_frames.into_iter().zip(drawn.chunks_exact(draws)) {
         let left = |span: &std::ops::Range<usize>| {
             let at = |p: &u32| (*p as usize / seen.sensor[1], *p as usize % seen.sensor[1]);
             let pixels = &seen.pixels[span.clone()];
             let square = |p: &u32| drawn.iter().map(|d| f64::from(d[at(p)] / sigma[at(p)]).powi(2)).sum::<f64>();
-            pixels.iter().map(square).sum::<f64>() / (DRAWS * pixels.len()).max(1) as f64
+            pixels.iter().map(square).sum::<f64>() / (draws * pixels.len()).max(1) as f64
         };
         expected[k] = seen.blocks.iter().map(left).collect();
     }
     expected
 }
 
-/// Whether each pixel of the sensor lies in a held-out block.
-fn held_out(seen: &Observations) -> Vec<bool> {
-    let ([rows, cols], side) = (seen.sensor, seen.blocks_per_side());
-    let block = |p: usize| {
-        let of = |at: usize, n: usize| (0..side).rfind(|b| b * n / side <= at).unwrap_or(0);
-        of(p / cols, rows) * side + of(p % cols, cols)
-    };
-    (0..rows * cols).map(|p| seen.held_out_blocks[block(p)]).collect()
+/// Whether each pixel of the sensor is used, and not in a held-out block.
+fn fitted(seen: &Observations) -> Vec<bool> {
+    let mut fitted = vec![false; seen.sensor[0] * seen.sensor[1]];
+    for (span, _) in seen.blocks.iter().zip(&seen.held_out_blocks).filter(|(_, held_out)| !**held_out) {
+        seen.pixels[span.clone()].iter().for_each(|p| fitted[*p as usize] = true);
+    }
+    fitted
 }

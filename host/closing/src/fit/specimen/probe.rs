@@ -4,7 +4,7 @@
 //! transpose. Unit sources on a lattice, wider apart than a window, show many columns of the matrix at once.
 
 use crate::fit::model::Model;
-use crate::fit::projection::Views;
+use crate::fit::projection::{Footprint, Views};
 use crate::fit::state::Term;
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
@@ -25,6 +25,7 @@ const UNLIKE: f64 = 0.01;
 const DOTS_E: [f32; 2] = [100.0, 1000.0];
 
 /// The optics in windows of `window` pixels under the effects of `terms`, in the context of the middle one of `frames`.
+/// Not known are all object pixels whose windows reach a sensor pixel that is used.
 ///
 /// # Errors
 /// The parts of the instrument disagree.
@@ -70,31 +71,47 @@ pub(super) fn probed(
             })
         })
         .collect();
-    let lattice = |[row, col]: [usize; 2], side: usize| {
-        let mut sources = Array2::zeros((object[0], object[1]));
-        sources.slice_mut(ndarray::s![row..;side, col..;side]).fill(1.0);
-        images(&sources, chain)
-    };
     let margin = if chain.acts_at(Stage::Geometry) || chain.acts_at(Stage::Lens) || !near.is_empty() {
         let side = window + 2 * MARGIN;
         let first = object.map(|n| (side / 2).min(n - 1));
-        widening(&lattice(first, side)?, &middles, (object, first), window)
+        let mut sources = Array2::zeros((object[0], object[1]));
+        sources.slice_mut(ndarray::s![first[0]..;side, first[1]..;side]).fill(1.0);
+        widening(&images(&sources, chain)?, &middles, (object, first), window)
     } else {
         0
     };
     let side = window + 2 * margin;
     let corners = middles.iter().map(|m| m.map(|at| at - (side / 2) as isize)).collect();
-    let mut it = Views::dark(object, sensor, side, corners);
+    let footprint = Footprint { object, sensor, side, corners };
+    let used = model.seen.used();
+    let pixels = footprint.seen_by(&used.mapv(|v| v > 0.0));
+    // The number of each object pixel among those that are not known.
+    let mut numbers: Array2<Option<usize>> = Array2::from_elem((object[0], object[1]), None);
+    for (x, p) in pixels.iter().enumerate() {
+        numbers[[*p as usize / object[1], *p as usize % object[1]]] = Some(x);
+    }
+    let mut it = Views::dark(footprint, pixels);
+    let lattice = |[row, col]: [usize; 2]| {
+        let mut sources = Array2::zeros((object[0], object[1]));
+        let of = ndarray::s![row..;side, col..;side];
+        sources.slice_mut(of).zip_mut_with(&numbers.slice(of), |v, x| *v = f32::from(u8::from(x.is_some())));
+        images(&sources, chain)
+    };
     for row in 0..side {
-        let lattices = (0..side).into_par_iter().map(|col| lattice([row, col], side));
+        let lattices = (0..side).into_par_iter().map(|col| lattice([row, col]));
         let lattices: Vec<Vec<Array2<f32>>> = lattices.collect::<Result<_, _>>()?;
         for (col, images) in lattices.iter().enumerate() {
             for r in (row..object[0]).step_by(side) {
                 for c in (col..object[1]).step_by(side) {
-                    images.iter().enumerate().for_each(|(l, image)| it.take(l, [r, c], image));
+                    if let Some(x) = numbers[[r, c]] {
+                        images.iter().enumerate().for_each(|(l, image)| it.take(l, x, image));
+                    }
                 }
             }
         }
+    }
+    if model.seen.is_part() {
+        it.merge_tails(&used);
     }
     Ok(it)
 }

@@ -7,7 +7,7 @@ use super::probe::probed;
 use crate::data::{Frame, Observations, Shown};
 use crate::evidence::Scores;
 use crate::fit::derivative::Expansion;
-use crate::fit::projection::Projector;
+use crate::fit::projection::{Footprint, Projector};
 use crate::fit::{Column, Design, Errors, Model, Predicted, Scope, Term, nuisances, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
@@ -82,6 +82,14 @@ fn unknown(instrument: &Instrument, terms: &[Term], noisy: bool) -> Observations
     estimate_specimens(instrument, &mut seen);
     assert!(seen.frames.iter().all(|f| f.shown == Shown::Estimated));
     seen
+}
+
+/// Sensor pixels that see a part of the object alone, [sensor rows, sensor cols].
+fn region_of(instrument: &Instrument) -> Array2<bool> {
+    let corner = |anchor: &[f64; 2]| [0, 1].map(|a| (anchor[a] - (OBJECT[a] as f64 - 1.0) / 2.0).round() as isize - 4);
+    let corners = instrument.geometry.anchors_px.iter().map(corner).collect();
+    let footprint = Footprint { object: OBJECT, sensor: SENSOR, side: 9, corners };
+    footprint.alone(&Array2::from_shape_fn((OBJECT[0], OBJECT[1]), |(r, c)| r < 15 && c >= 4), 1)
 }
 
 fn term(id: &str, values: &[(&str, f64)], lenses: usize) -> Term {
@@ -163,6 +171,30 @@ fn no_specimen_passes_and_noise_loses_what_the_specimen_takes_up() {
     assert!(once / all > least - 0.05 && once / all < 0.99, "{} {least}", once / all);
     projector.remove(&mut [&mut noise]);
     assert!((norm(&noise).powi(2) / once - 1.0).abs() < 0.03);
+}
+
+/// A region sees a part of an object, and what it sees of it by tails alone is merged: what the whole object makes of
+/// the pixels of the region is taken out all the same.
+#[test]
+fn no_specimen_passes_in_a_region() {
+    let instrument = smooth(instrument(OBJECT, SENSOR, 9, 3));
+    let mut seen = unknown(&instrument, &[], false);
+    let region = region_of(&instrument);
+    seen.use_pixels(|r, c| region[[r, c]], 4);
+    assert!(seen.pixels.len() > 100, "{}", seen.pixels.len());
+    let model = Model::new(&instrument, &seen).unwrap();
+    let views = probed(&model, &[], &[0], model.window_px).unwrap();
+    assert!(views.pixels().len() < OBJECT[0] * OBJECT[1], "{}", views.pixels().len());
+    let object = specimen(11);
+    let cx = model.context(0, None);
+    let scene = model.forward.scene(object.view(), &model.chain(&[]), &cx).unwrap();
+    let mut image = model.forward.light_e(&scene, &model.chain(&[]), &cx) * &seen.used();
+    let norm = |image: &Array2<f32>| image.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
+    let before = norm(&image);
+    let projector = Projector::of(views, seen.used().iter().copied().collect()).unwrap();
+    projector.remove(&mut [&mut image]);
+    let left = norm(&(&image * &seen.used()));
+    assert!(left < 5e-3 * before, "{left} of {before}");
 }
 
 #[test]
@@ -263,6 +295,28 @@ fn the_gain_of_a_lens_is_found_in_frames_of_the_unknown() {
     let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
     assert!(((1.0 + a) / (1.0 + b) - 1.1).abs() < 0.02, "{a} {b}");
     assert!(before.held_out.deviance - after.held_out.deviance > 10.0);
+}
+
+#[test]
+fn the_gain_of_a_lens_is_found_in_a_region() {
+    let instrument = instrument(OBJECT, SENSOR, 9, 3);
+    let gain = term("lens_gain", &[("change_0", 0.2)], 2);
+    let mut seen = unknown(&instrument, std::slice::from_ref(&gain), true);
+    let region = region_of(&instrument);
+    seen.use_pixels(|r, c| region[[r, c]], 4);
+    // Outside of the region frames may hold anything.
+    for f in &mut seen.frames {
+        f.measured.indexed_iter_mut().filter(|(at, _)| !region[*at]).for_each(|(_, v)| *v = 900.0);
+    }
+    let model = Model::new(&instrument, &seen).unwrap();
+    let before = refit(&model, model.state(&instrument).unwrap()).unwrap();
+    let mut state = before.state.clone();
+    state.terms.push(gain.switched_off(2));
+    let after = refit(&model, state).unwrap();
+    let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
+    assert!(((1.0 + a) / (1.0 + b) - 1.2).abs() < 0.04, "{a} {b}");
+    let left = &after.predicted[0].residual_dn;
+    assert!(left.indexed_iter().all(|(at, v)| region[at] || *v == 0.0));
 }
 
 #[test]
