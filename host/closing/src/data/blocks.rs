@@ -39,6 +39,12 @@ impl Blocks {
         }
         it
     }
+
+    /// The pixels that are held out.
+    pub(crate) fn held_out_pixels(&self) -> impl Iterator<Item = u32> {
+        let held_out = self.ranges.iter().zip(&self.held_out).filter(|(_, held_out)| **held_out);
+        held_out.flat_map(|(range, _)| self.pixels[range.clone()].iter().copied())
+    }
 }
 
 #[cfg(test)]

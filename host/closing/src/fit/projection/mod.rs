@@ -1,7 +1,8 @@
 //! What a change of the specimen can make, taken out of frames.
 //!
-//! The optics are a matrix (`views`, with its `products`) of where lenses show what (`footprint`), the `projector` takes out what it can make of any object,
-//! and a state holds both with the estimated specimens (`held`). `docs/closing.md` has the equations.
+//! `footprint` says which pixels see which. The optics are a matrix (`views`, with its `products`), the `projector`
+//! takes out what it can make of any object, and a state holds both with the estimated specimens (`held`).
+//! `docs/closing.md` has the equations.
 
 mod footprint;
 mod held;

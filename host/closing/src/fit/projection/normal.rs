@@ -122,8 +122,8 @@ impl Room {
     }
 }
 
-/// The windows of a tile behind a lens over shared pixels of the sensor, [unknown of the tile, shared pixel]: sums where
-/// several pixels are one unknown.
+/// The windows of a tile behind a lens over shared pixels of the sensor, [unknown of the tile, shared pixel]: their
+/// sums where several pixels are one unknown.
 fn cut(
     views: &Views,
     (tile, lens): (&Tile, usize),

@@ -16,6 +16,8 @@ const MOST_OF_REGION: usize = 10_000;
 const MOST_VALUES: usize = 1 << 28;
 /// Most sensor pixels: whole frames are predicted for each state.
 const MOST_SENSOR: usize = 1 << 20;
+/// Fewest spatial blocks along each side of a sensor of which a region is used.
+const FEWEST_BLOCKS: usize = 6;
 /// Most frames whose specimens are estimated: of so many parts of a longer recording the one that shows most.
 const MOST_FRAMES: usize = 8;
 
@@ -49,7 +51,19 @@ fn use_region(instrument: &Instrument, seen: &mut Observations) -> Result<(), St
     let footprint = footprint(instrument, sensor);
     let (lenses, side) = (footprint.corners.len(), footprint.side);
     let fits = pixels <= MOST_UNKNOWNS && Views::values(pixels, side, lenses) <= MOST_VALUES;
+    let single = seen.is_single();
+    let held_out = |region: &Array2<bool>, side: usize| {
+        let mut out = Array2::from_elem((sensor[0], sensor[1]), false);
+        let blocks = Blocks::of(sensor, |r, c| region[[r, c]], side, single);
+        blocks.held_out_pixels().for_each(|p| out[[p as usize / sensor[1], p as usize % sensor[1]]] = true);
+        out
+    };
     if fits && !seen.is_part() {
+        let (whole, now) = (Array2::from_elem((sensor[0], sensor[1]), true), seen.blocks.len().isqrt());
+        let side = blocks_per_side(&footprint, &whole, now, |side| held_out(&whole, side));
+        if side != now {
+            seen.use_pixels(|_, _| true, side);
+        }
         return Ok(());
     }
     let unestimated = |why: String| {
@@ -57,8 +71,8 @@ fn use_region(instrument: &Instrument, seen: &mut Observations) -> Result<(), St
     };
     if sensor[0] * sensor[1] > MOST_SENSOR {
         return Err(unestimated(format!(
-            "frames of {} x {} pixels take too long. Frames of at most {MOST_SENSOR} pixels are used: `session.toml` of \
-             a part of the sensor, or binned pixels, make it possible",
+            "frames of {} x {} pixels take too long. Frames of at most {MOST_SENSOR} pixels are used: calibrate and \
+             measure a part of the sensor, or binned pixels",
             sensor[0], sensor[1]
         )));
     }
@@ -70,22 +84,15 @@ fn use_region(instrument: &Instrument, seen: &mut Observations) -> Result<(), St
     let region = region.ok_or_else(|| {
         unestimated(format!(
             "objects of {} x {} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory \
-             than `close` uses, and no part of the sensor sees few enough of their pixels by itself. A coarser grid of object pixels or `calibrate --window` with smaller windows makes it \
-             possible",
+             than `close` uses, and no part of the sensor sees few enough of their pixels by itself. A coarser grid of \
+             object pixels or `calibrate --window` with smaller windows makes it possible",
             object[0], object[1]
         ))
     })?;
-    let (taken, single) = (|r, c| region[[r, c]], seen.is_single());
-    let held_out = |side: usize| {
-        let blocks = Blocks::of(sensor, taken, side, single);
-        let mut out = Array2::from_elem((sensor[0], sensor[1]), false);
-        for (span, _) in blocks.ranges.into_iter().zip(blocks.held_out).filter(|(_, held_out)| *held_out) {
-            blocks.pixels[span].iter().for_each(|p| out[[*p as usize / sensor[1], *p as usize % sensor[1]]] = true);
-        }
-        out
-    };
-    let side = blocks_per_side(&footprint, &region, held_out);
-    seen.use_pixels(taken, side);
+    // About as large as a window.
+    let first = (sensor[0].min(sensor[1]) / side.max(1)).max(FEWEST_BLOCKS);
+    let blocks = blocks_per_side(&footprint, &region, first, |side| held_out(&region, side));
+    seen.use_pixels(|r, c| region[[r, c]], blocks);
     Ok(())
 }
 

@@ -23,8 +23,7 @@ const LEAST_FLOOR_E2: f64 = 0.1;
 const STRAY_ROUNDS: usize = 8;
 /// This ends where the mean square of its change is below this, in units of the variance of the noise.
 const FAINT_STRAY: f32 = 1e-3;
-/// Draws of noise for the expected squares of the residuals: of whole frames, and of a region, whose fewer pixels scatter
-/// more.
+/// Draws of noise for the expected squares of the residuals: of whole frames, and of a region, which has fewer pixels.
 const DRAWS: [usize; 2] = [4, 16];
 
 /// Estimates the specimens of all frames of [`Shown::Estimated`] under a state. None: there are none.

@@ -17,6 +17,11 @@ const LOOKED_AT: usize = 128;
 /// Least number of sensor pixels of a region for each unknown: with one, a specimen explains everything.
 const LEAST: f64 = 1.3;
 
+/// Numbers of blocks along each side that are tried.
+const TRIED: usize = 4;
+/// Share of the views by which one number is better than another.
+const CLEARLY: f64 = 0.1;
+
 /// How large a region may be.
 #[derive(Clone, Copy)]
 pub(super) struct Size {
@@ -96,14 +101,16 @@ fn squares(
 }
 
 /// How many spatial blocks there should be along each side of the sensor so that what held-out blocks of a region show
-/// is seen by other pixels as well, behind other lenses: of some numbers of blocks about as large as a window, that
-/// with which most is. `held_out` says whether a pixel is held out with so many blocks along each side.
+/// is seen by other pixels as well, behind other lenses: `first`, unless that share of it is clearly larger with a few
+/// more. A pitch of two blocks, for example, holds out all views of a place or none of them. `held_out` says whether a
+/// pixel is held out with so many blocks along each side.
 pub(super) fn blocks_per_side(
     footprint: &Footprint,
     region: &Array2<bool>,
+    first: usize,
     held_out: impl Fn(usize) -> Array2<bool> + Sync,
 ) -> usize {
-    let least = (footprint.sensor[0].min(footprint.sensor[1]) / footprint.side.max(1)).max(FEWEST);
+    let enough = 2.min(footprint.corners.len().saturating_sub(1));
     let seen_elsewhere = |blocks: usize| {
         let held_out = held_out(blocks);
         let is_seen = |p: [isize; 2]| {
@@ -121,21 +128,18 @@ pub(super) fn blocks_per_side(
                 }
                 views += 1;
                 let others = footprint.corners.iter().filter(|o| *o != corner);
-                elsewhere +=
-                    usize::from(others.map(|o| [0, 1].map(|a| object[a] + o[a])).filter(|p| is_seen(*p)).count() >= 2);
+                elsewhere += usize::from(
+                    others.map(|o| [0, 1].map(|a| object[a] + o[a])).filter(|p| is_seen(*p)).count() >= enough,
+                );
             }
         }
         elsewhere as f64 / views.max(1) as f64
     };
-    let tried: Vec<(usize, f64)> =
-        (least..least + TRIED).into_par_iter().map(|blocks| (blocks, seen_elsewhere(blocks))).collect();
-    tried.into_iter().reduce(|a, b| if b.1 > a.1 { b } else { a }).map_or(least, |(blocks, _)| blocks)
+    let shares: Vec<(usize, f64)> =
+        (first..first + TRIED).into_par_iter().map(|blocks| (blocks, seen_elsewhere(blocks))).collect();
+    let best = shares.iter().copied().reduce(|a, b| if b.1 > a.1 { b } else { a });
+    best.filter(|best| best.1 > shares[0].1 + CLEARLY).map_or(first, |best| best.0)
 }
-
-/// Fewest blocks along each side.
-const FEWEST: usize = 6;
-/// Numbers of blocks that are tried.
-const TRIED: usize = 4;
 
 fn count(set: &Array2<bool>) -> usize {
     set.iter().filter(|v| **v).count()
@@ -176,6 +180,9 @@ mod tests {
         let footprint = Footprint { side: 100, ..footprint };
         let region = Array2::from_elem([600, 600], true);
         let board = |n: usize| Array2::from_shape_fn([600, 600], |(r, c)| (r * n / 600 + c * n / 600) % 2 == 1);
-        assert_ne!(blocks_per_side(&footprint, &region, board), 6);
+        assert_ne!(blocks_per_side(&footprint, &region, 6, board), 6);
+        // At a pitch of one block and a half six are as good as others.
+        let corners = (0..9).map(|l| [l / 3, l % 3].map(|i| i as isize * 150)).collect();
+        assert_eq!(blocks_per_side(&Footprint { corners, ..footprint }, &region, 6, board), 6);
     }
 }
