@@ -23,6 +23,8 @@ pub(crate) struct Views {
     pixels: Vec<u32>,
     /// The unknown that each of them belongs to; unknowns are numbered in the order of their first pixels.
     unknowns: Vec<u32>,
+    /// Whether each of them is seen by its tails alone.
+    tails: Vec<bool>,
     /// Rows and columns of a window.
     side: usize,
     /// For each lens the sensor pixel at which the window of object pixel (0, 0) begins, [row, col]. That of pixel
@@ -42,8 +44,8 @@ impl Views {
     pub(crate) fn dark(footprint: Footprint, pixels: Vec<u32>) -> Self {
         let Footprint { object, sensor, side, corners } = footprint;
         let windows = vec![vec![0.0; Self::values(pixels.len(), side, 1)]; corners.len()];
-        let unknowns = (0..pixels.len() as u32).collect();
-        Self { object, sensor, pixels, unknowns, side, corners, windows }
+        let (unknowns, tails) = ((0..pixels.len() as u32).collect(), vec![false; pixels.len()]);
+        Self { object, sensor, pixels, unknowns, tails, side, corners, windows }
     }
 
     /// The object pixels that are not known: flat indices, ascending.
@@ -59,6 +61,11 @@ impl Views {
     /// The unknown that the `x`-th object pixel belongs to.
     pub(super) fn unknown(&self, x: usize) -> usize {
         self.unknowns[x] as usize
+    }
+
+    /// Whether the `x`-th object pixel is seen by its tails alone.
+    pub(crate) fn is_tail(&self, x: usize) -> bool {
+        self.tails[x]
     }
 
     /// Makes one unknown of neighbouring object pixels that are seen by their faint tails alone: those of which behind
@@ -83,15 +90,15 @@ impl Views {
             let most = |i: usize| lenses.iter().fold(0.0f32, |m, sums| m.max(sums[i]));
             most(0) < TAIL * most(1)
         };
-        let tails: Vec<bool> = (0..self.pixels.len()).into_par_iter().map(is_tail).collect();
+        self.tails = (0..self.pixels.len()).into_par_iter().map(is_tail).collect();
         let mut first = HashMap::new();
         let mut count = 0;
-        for (x, is_tail) in tails.into_iter().enumerate() {
+        for x in 0..self.pixels.len() {
             let mut new = || {
                 count += 1;
                 count - 1
             };
-            self.unknowns[x] = match is_tail {
+            self.unknowns[x] = match self.tails[x] {
                 true => *first.entry(self.place_of(x).map(|v| v / MERGED)).or_insert_with(new),
                 false => new(),
             };

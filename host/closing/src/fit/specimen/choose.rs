@@ -6,6 +6,7 @@ use crate::data::{Blocks, Observations, Shown, best_of_parts, content};
 use crate::fit::projection::{Footprint, Views};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
+use ommatidia_physics::noise::NoiseModel;
 
 /// Most object pixels whose normal matrix is factored: it takes 4 bytes for each pair, and 1.2 gigabytes at most. Up to
 /// four states of a search have one.
@@ -76,12 +77,14 @@ fn use_region(instrument: &Instrument, seen: &mut Observations) -> Result<(), St
             sensor[0], sensor[1]
         )));
     }
-    let most = Size { pixels: MOST_VALUES / Views::values(1, side, lenses).max(1), unknowns: MOST_OF_REGION };
+    // Every second block is held out of few frames, else every eighth.
+    let fitted = if single { 0.5 } else { 0.875 };
+    let most = Size { pixels: MOST_VALUES / Views::values(1, side, lenses).max(1), unknowns: MOST_OF_REGION, fitted };
     let region = match fits {
         true => Some(footprint.alone(&Array2::from_elem(object, true), 1)),
-        false => region(&footprint, &light(seen, instrument.noise.black_level_dn), most),
+        false => region(&footprint, &light(seen, &instrument.noise), most),
     };
-    let region = region.ok_or_else(|| {
+    let region = region.filter(|region| region.iter().any(|v| *v)).ok_or_else(|| {
         unestimated(format!(
             "objects of {} x {} pixels behind {lenses} lenses with windows of {side} x {side} pixels take more memory \
              than `close` uses, and no part of the sensor sees few enough of their pixels by itself. A coarser grid of \
@@ -111,12 +114,18 @@ fn footprint(instrument: &Instrument, sensor: [usize; 2]) -> Footprint {
     Footprint { object, sensor, side, corners: living.map(corner).collect() }
 }
 
-/// Mean light of the frames of unknown specimens, DN above black, [sensor rows, sensor cols].
-fn light(seen: &Observations, black_dn: f64) -> Array2<f32> {
-    let mut sum = Array2::zeros((seen.sensor[0], seen.sensor[1]));
-    seen.frames.iter().filter(|f| f.shown == Shown::Unknown).for_each(|f| sum += &f.measured);
-    let count = seen.frames.iter().filter(|f| f.shown == Shown::Unknown).count().max(1);
-    sum.mapv(|v| (v / count as f32 - black_dn as f32).max(0.0))
+/// Mean light of the frames of unknown specimens, DN above black, [sensor rows, sensor cols]; 0 at pixels that are
+/// saturated in one of them, which no frame uses.
+fn light(seen: &Observations, noise: &NoiseModel) -> Array2<f32> {
+    let (mut sum, mut count) = (Array2::zeros((seen.sensor[0], seen.sensor[1])), 0.0);
+    for f in seen.frames.iter().filter(|f| f.shown == Shown::Unknown) {
+        count += 1.0;
+        sum.zip_mut_with(&f.measured, |sum, dn| {
+            let clipped = f64::from(*dn) >= 0.99 * noise.saturation_dn;
+            *sum = if clipped { f32::NEG_INFINITY } else { *sum + dn - noise.black_level_dn as f32 };
+        });
+    }
+    sum.mapv(|v: f32| (v / f32::max(count, 1.0)).max(0.0))
 }
 
 /// What a session of estimated specimens can and cannot show.
@@ -136,9 +145,9 @@ pub(crate) fn region_note(seen: &Observations) -> Option<String> {
     let is_estimated = seen.frames.iter().any(|f| f.shown == Shown::Estimated);
     (is_estimated && seen.is_part()).then(|| {
         format!(
-            "specimens were estimated on {} of the {} sensor pixels, in all frames: what specimens make is taken out \
-             exactly, which takes too much memory for whole objects of this size. These pixels see a part of the \
-             object and nothing else of it. Effects are found as before, with larger errors",
+            "specimens were estimated on {} of the {} sensor pixels, in all frames: on those that see a part of a \
+             large object and nothing else of it, or all of a small one. What all of a large object makes takes too \
+             much memory to be taken out. Errors are those of the pixels that were used",
             seen.pixels.len(),
             seen.sensor[0] * seen.sensor[1]
         )

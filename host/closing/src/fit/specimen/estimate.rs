@@ -43,7 +43,9 @@ pub(super) struct Estimation<'a> {
 impl<'a> Estimation<'a> {
     /// Begins with even specimens of frames whose objects hold `beside` where they are known.
     pub(super) fn new(views: &'a Views, weight: &'a [f32], floor_e2: f32, beside: &'a [Array2<f32>]) -> Self {
-        Self { views, weight, floor_e2, objects: vec![vec![1.0; views.pixels().len()]; beside.len()], beside, done: 0 }
+        let mut it = Self { views, weight, floor_e2, objects: Vec::new(), beside, done: 0 };
+        it.begin_again();
+        it
     }
 
     /// Goes on for so many iterations. `frames_e` are the frames without their dark signal, electrons, [sensor rows,
@@ -59,9 +61,18 @@ impl<'a> Estimation<'a> {
         self.done += iterations;
     }
 
-    /// Begins again, with even specimens.
+    /// Begins again, with even specimens. Pixels that are seen by their tails alone stay as they are beside: hardly
+    /// anything of them is seen.
     pub(super) fn begin_again(&mut self) {
-        self.objects.iter_mut().for_each(|o| o.fill(1.0));
+        let cols = self.views.object()[1];
+        let begin = |beside: &Array2<f32>| {
+            let of = |(x, p): (usize, &u32)| match self.views.is_tail(x) {
+                true => beside[[*p as usize / cols, *p as usize % cols]],
+                false => 1.0,
+            };
+            self.views.pixels().iter().enumerate().map(of).collect()
+        };
+        self.objects = self.beside.iter().map(begin).collect();
         self.done = 0;
     }
 
@@ -102,7 +113,8 @@ fn iterate<const L: usize>(
             r.iter_mut().zip(m).zip(u).for_each(|((r, m), u)| *r = u * m / (r.max(0.0) + floor_e2));
         }
         let back = views.adjoint(&ratio);
-        for ((x, b), s) in objects.iter_mut().zip(&back).zip(&seen) {
+        let all = objects.iter_mut().zip(&back).zip(&seen).enumerate();
+        for (_, ((x, b), s)) in all.filter(|(x, _)| !views.is_tail(*x)) {
             x.iter_mut().zip(b).zip(s).for_each(|((x, b), s)| *x = if *s > least { *x * b.max(0.0) / s } else { 0.0 });
         }
     }

@@ -83,7 +83,7 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
         let gain2 = (noise.gain_dn_per_e * noise.gain_dn_per_e) as f32;
         let in_noise = |(now, before): (&Array2<f32>, &Array2<f32>)| -> f32 {
             let pixels = now.iter().zip(before).zip(projector.weight());
-            pixels.map(|((now, before), w)| (now - before).powi(2) * w * gain2).sum::<f32>() / now.len() as f32
+            pixels.map(|((now, before), w)| (now - before).powi(2) * w * gain2).sum::<f32>() / seen.pixels.len() as f32
         };
         if strays.iter().zip(&before).all(|s| in_noise(s) < FAINT_STRAY) {
             break;

@@ -97,8 +97,8 @@ pub(super) fn probed(
         sources.slice_mut(of).zip_mut_with(&numbers.slice(of), |v, x| *v = f32::from(u8::from(x.is_some())));
         images(&sources, chain)
     };
-    for row in 0..side {
-        let lattices = (0..side).into_par_iter().map(|col| lattice([row, col]));
+    for row in 0..side.min(object[0]) {
+        let lattices = (0..side.min(object[1])).into_par_iter().map(|col| lattice([row, col]));
         let lattices: Vec<Vec<Array2<f32>>> = lattices.collect::<Result<_, _>>()?;
         for (col, images) in lattices.iter().enumerate() {
             for r in (row..object[0]).step_by(side) {

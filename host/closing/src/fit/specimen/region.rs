@@ -9,14 +9,17 @@
 use crate::fit::projection::{CORE, Footprint};
 use ndarray::{Array2, s};
 use rayon::prelude::*;
+use std::ops::RangeInclusive;
 
 /// Places of the first square that are tried along each side of the object, its middle among them.
 const PLACES: usize = 21;
 /// Sensor pixels that are looked at along its longer side to compare places.
 const LOOKED_AT: usize = 128;
-/// Least number of sensor pixels of a region for each unknown: with one, a specimen explains everything.
+/// Least number of fitted pixels of a region for each unknown: with one, a specimen explains everything.
 const LEAST: f64 = 1.3;
 
+/// Shares of the pixels that may be held out: with fewer nothing is judged, with more nothing is fitted.
+const HELD_OUT: RangeInclusive<f64> = 0.05..=0.6;
 /// Numbers of blocks along each side that are tried.
 const TRIED: usize = 4;
 /// Share of the views by which one number is better than another.
@@ -29,6 +32,8 @@ pub(super) struct Size {
     pub(super) pixels: usize,
     /// Most unknowns, where those that are seen by their tails alone are merged.
     pub(super) unknowns: usize,
+    /// Share of the pixels that is not held out.
+    pub(super) fitted: f64,
 }
 
 /// Number of object pixels that become one unknown where only tails are seen.
@@ -49,8 +54,9 @@ pub(super) fn region(footprint: &Footprint, light: &Array2<f32>, most: Size) -> 
         let lit: f64 =
             alone.indexed_iter().filter(|(_, v)| **v).map(|((r, c), _)| f64::from(light[[r * step, c * step]])).sum();
         // An effect shows in what more there is of pixels than of unknowns, by the square root of the light.
-        let left = 1.0 - unknowns as f64 / pixels;
-        (pixels >= LEAST * unknowns as f64).then(|| (lit.max(f64::MIN_POSITIVE) * left, object))
+        let fitted = most.fitted * pixels;
+        let left = 1.0 - unknowns as f64 / fitted;
+        (fitted >= LEAST * unknowns as f64).then(|| (lit.max(f64::MIN_POSITIVE) * left, object))
     });
     let (_, object) = tried.reduce_with(|a, b| if b.0 > a.0 { b } else { a })?;
     Some(footprint.alone(&object, 1))
@@ -133,7 +139,8 @@ pub(super) fn blocks_per_side(
                 );
             }
         }
-        elsewhere as f64 / views.max(1) as f64
+        let share = count(&held_out) as f64 / count(region).max(1) as f64;
+        if HELD_OUT.contains(&share) { elsewhere as f64 / views.max(1) as f64 } else { 0.0 }
     };
     let shares: Vec<(usize, f64)> =
         (first..first + TRIED).into_par_iter().map(|blocks| (blocks, seen_elsewhere(blocks))).collect();
@@ -161,7 +168,7 @@ mod tests {
     fn a_region_sees_few_object_pixels_and_has_more_pixels_than_these() {
         let footprint = overlapping();
         for most in [4000, 10_000] {
-            let most = Size { pixels: most, unknowns: most / 2 };
+            let most = Size { pixels: most, unknowns: most / 2, fitted: 1.0 };
             let region = region(&footprint, &Array2::ones((608, 608)), most).unwrap();
             let pixels = footprint.seen_by(&region).len();
             assert!(pixels <= most.pixels && pixels > most.pixels / 3, "{pixels} of {}", most.pixels);
@@ -169,7 +176,9 @@ mod tests {
         }
         // Two lenses that show the same: each pixel sees two object pixels, and no region has more pixels than these.
         let twice = Footprint { object: [200, 200], sensor: [240, 240], side: 31, corners: vec![[0, 0], [5, 5]] };
-        assert!(region(&twice, &Array2::ones((240, 240)), Size { pixels: 10_000, unknowns: 5000 }).is_none());
+        assert!(
+            region(&twice, &Array2::ones((240, 240)), Size { pixels: 10_000, unknowns: 5000, fitted: 1.0 }).is_none()
+        );
     }
 
     #[test]
