@@ -8,9 +8,7 @@ use super::again::{Again, again};
 use super::attempt::{Given, OWN_BEADS_NOTE, Outcome, attempt, held_out_blocks, held_out_frames, own_beads};
 use super::data::{Fault, Observations, unit_note};
 use super::evidence::{JudgedOn, figures, omnibus, standing_alone, structured};
-use super::fit::{
-    Model, UNKNOWN_NOTE, chosen_note, estimate_specimens, estimated_frames, exposures, refit, region_note, replicas,
-};
+use super::fit::{Model, UNKNOWN_NOTE, chosen_notes, estimate_specimens, estimated_frames, exposures, refit, replicas};
 use super::options::{CloseError, CloseOptions};
 use super::records::{few_scenes_note, refined, screened, wrong_records};
 use ommatidia_model::instrument::Instrument;
@@ -138,8 +136,7 @@ fn judged(
     let mut notes = registration_notes(&registrations);
     notes.extend(own_beads.then(|| OWN_BEADS_NOTE.into()));
     notes.extend((JudgedOn::of(seen) == JudgedOn::SelfConsistency).then(|| UNKNOWN_NOTE.into()));
-    notes.extend(chosen_note(seen));
-    notes.extend(region_note(seen));
+    notes.extend(chosen_notes(seen));
     notes.extend(calibration_note((structured, within), verdict, &[], (&instrument.quality, model.shows_beads())));
     let closing = Closing {
         session: options.session_name.into(),

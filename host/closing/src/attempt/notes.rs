@@ -9,7 +9,7 @@ use crate::account::{
 use crate::data::{Observations, Shown, bright_darks};
 use crate::evidence::{Curve, Figures, JudgedOn, excess, judged, structured};
 use crate::fit::gauge::Gauge;
-use crate::fit::{Fitted, Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_note, region_note};
+use crate::fit::{Fitted, Model, PUPIL_DEFOCUS, State, Term, UNKNOWN_NOTE, chosen_notes};
 use crate::options::CalibratedOn;
 use crate::search::is_laplacian;
 use ommatidia_model::forward::ForwardError;
@@ -68,8 +68,7 @@ pub(super) fn notes(basis: &Basis<'_>, settled: &Settled, said: &Said<'_>) -> Re
     if basis.judged_on == JudgedOn::SelfConsistency {
         notes.push(UNKNOWN_NOTE.into());
     }
-    notes.extend(chosen_note(seen));
-    notes.extend(region_note(seen));
+    notes.extend(chosen_notes(seen));
     notes.extend(now.gauges.iter().filter(|g| g.term >= own).map(|g| gauge_note(g, &now.state)));
     notes.extend(drift_notes(said.curves));
     if said.own_beads {

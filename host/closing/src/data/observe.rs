@@ -159,18 +159,18 @@ impl Observations {
             recorded,
             not_estimated: None,
         };
-        let [rows, cols] = sensor;
-        let every = (rows * cols).div_ceil(budget.pixels.max(1));
-        // A Weyl sequence is even and favours neither odd nor even rows and columns.
-        let taken = |r, c| every <= 1 || ((r * cols + c) as f64 * 0.618_033_988_75).fract() * (every as f64) < 1.0;
-        it.use_pixels(taken, budget.blocks);
+        it.set(Blocks::even(sensor, budget.pixels, budget.blocks, it.is_single()));
         Ok(it)
     }
 
     /// Uses those pixels of the sensor that `taken` names by row and column, in blocks of `side` along each side of the
     /// sensor. Blocks without a pixel are left out.
     pub(crate) fn use_pixels(&mut self, taken: impl Fn(usize, usize) -> bool, side: usize) {
-        let blocks = Blocks::of(self.sensor, taken, side, self.is_single());
+        self.set(Blocks::of(self.sensor, taken, side, self.is_single()));
+    }
+
+    /// Uses the pixels of blocks.
+    pub(crate) fn set(&mut self, blocks: Blocks) {
         (self.pixels, self.blocks, self.held_out_blocks) = (blocks.pixels, blocks.ranges, blocks.held_out);
     }
 

@@ -60,6 +60,6 @@ pub(crate) use rhythm::rhythm;
 pub use scenes::Scenes;
 pub use solve::pseudo_inverse;
 pub use specimen::estimate_specimens;
-pub(crate) use specimen::{UNKNOWN_NOTE, chosen_note, estimated_frames, region_note};
+pub(crate) use specimen::{UNKNOWN_NOTE, chosen_notes, estimated_frames};
 pub use state::{Column, Predicted, State, Term};
 pub use truth::Registered;

@@ -2,7 +2,7 @@
 
 use super::information::Information;
 use super::{Found, columns};
-use crate::data::{Frame, Observations, Registration, Shown};
+use crate::data::{Blocks, Budget, Frame, Observations, Registration, Shown};
 use crate::fit::{Design, Fitted, Misfit, Model, Scope, State, Term, replicas};
 use ndarray::Array2;
 use ommatidia_model::forward::ForwardError;
@@ -253,9 +253,10 @@ impl Make<'_> {
     }
 }
 
-/// The pixels and blocks of a session, without its frames.
+/// The pixels and blocks of a session, without its frames. Measurements to come show known light, so that a region on
+/// which specimens were estimated is none of theirs.
 fn empty(seen: &Observations) -> Observations {
-    Observations {
+    let mut it = Observations {
         frames: Vec::new(),
         truths: Vec::new(),
         registrations: Vec::new(),
@@ -265,7 +266,12 @@ fn empty(seen: &Observations) -> Observations {
         sensor: seen.sensor,
         recorded: 0,
         not_estimated: None,
+    };
+    if seen.is_part() {
+        let budget = Budget::default();
+        it.set(Blocks::even(seen.sensor, budget.pixels, budget.blocks, seen.is_single()));
     }
+    it
 }
 
 /// Objects of the session, or, where it knows none, points spread over the field.

@@ -16,4 +16,4 @@ pub(super) use held::Sigmas;
 pub use held::Specimens;
 pub(super) use products::LANES;
 pub(super) use projector::{Projector, Projectors};
-pub(super) use views::Views;
+pub(super) use views::{MERGED, Views};

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 /// Share of the light of an object pixel below which what falls on pixels that are used is a tail.
 const TAIL: f32 = 0.1;
 /// Rows and columns of object pixels that become one unknown. Tiles of the normal matrix hold whole ones.
-pub(super) const MERGED: usize = 4;
+pub(in crate::fit) const MERGED: usize = 4;
 /// The rows of windows are filled up to a multiple of so many values.
 const VECTOR: usize = 8;
 

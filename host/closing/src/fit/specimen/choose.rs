@@ -77,8 +77,7 @@ fn use_region(instrument: &Instrument, seen: &mut Observations) -> Result<(), St
             sensor[0], sensor[1]
         )));
     }
-    // Every second block is held out of few frames, else every eighth.
-    let fitted = if single { 0.5 } else { 0.875 };
+    let fitted = Blocks::fitted_share(single);
     let most = Size { pixels: MOST_VALUES / Views::values(1, side, lenses).max(1), unknowns: MOST_OF_REGION, fitted };
     let region = match fits {
         true => Some(footprint.alone(&Array2::from_elem(object, true), 1)),
@@ -140,25 +139,17 @@ pub(crate) fn estimated_frames(seen: &Observations) -> Vec<(usize, usize)> {
     estimated.map(|f| (f.stack, f.info.frame)).collect()
 }
 
-/// Which part of the sensor was used; None: all of it, or no specimen was estimated.
-pub(crate) fn region_note(seen: &Observations) -> Option<String> {
-    let is_estimated = seen.frames.iter().any(|f| f.shown == Shown::Estimated);
-    (is_estimated && seen.is_part()).then(|| {
-        format!(
-            "specimens were estimated on {} of the {} sensor pixels, in all frames: on those that see a part of a \
-             large object and nothing else of it, or all of a small one. What all of a large object makes takes too \
-             much memory to be taken out. Errors are those of the pixels that were used",
-            seen.pixels.len(),
-            seen.sensor[0] * seen.sensor[1]
-        )
-    })
+/// Which part of the sensor was used, and which frames of a recording, or why no specimen was estimated; empty: all of
+/// both.
+pub(crate) fn chosen_notes(seen: &Observations) -> Vec<String> {
+    match &seen.not_estimated {
+        Some(why) => vec![why.clone()],
+        None => [frames_note(seen), region_note(seen)].into_iter().flatten().collect(),
+    }
 }
 
-/// Which frames of a recording took part, or why none did; None: all of them.
-pub(crate) fn chosen_note(seen: &Observations) -> Option<String> {
-    if seen.not_estimated.is_some() {
-        return seen.not_estimated.clone();
-    }
+/// Which frames of a recording took part; None: all of them.
+fn frames_note(seen: &Observations) -> Option<String> {
     let frames = estimated_frames(seen);
     (!frames.is_empty() && frames.len() < seen.recorded).then(|| {
         let several = frames.iter().any(|(stack, _)| *stack != frames[0].0);
@@ -174,6 +165,20 @@ pub(crate) fn chosen_note(seen: &Observations) -> Option<String> {
             seen.recorded,
             if several { " (stack:frame)" } else { "" },
             list.join(", ")
+        )
+    })
+}
+
+/// Which part of the sensor was used; None: all of it, or no specimen was estimated.
+fn region_note(seen: &Observations) -> Option<String> {
+    let is_estimated = seen.frames.iter().any(|f| f.shown == Shown::Estimated);
+    (is_estimated && seen.is_part()).then(|| {
+        format!(
+            "specimens were estimated on {} of the {} sensor pixels, in all frames: on those that see a part of a \
+             large object and nothing else of it, or all of a small one. What all of a large object makes takes too \
+             much memory to be taken out. Errors are those of the pixels that were used",
+            seen.pixels.len(),
+            seen.sensor[0] * seen.sensor[1]
         )
     })
 }

@@ -16,4 +16,4 @@ mod region;
 mod tests;
 
 pub use choose::estimate_specimens;
-pub(crate) use choose::{UNKNOWN_NOTE, chosen_note, estimated_frames, region_note};
+pub(crate) use choose::{UNKNOWN_NOTE, chosen_notes, estimated_frames};

@@ -6,7 +6,7 @@
 //! region is made of the sensor pixels that see squares of the object at such places and nothing else. Every
 //! specimen outside of them is allowed for as well, since no pixel of the region sees it.
 
-use crate::fit::projection::{CORE, Footprint};
+use crate::fit::projection::{CORE, Footprint, MERGED};
 use ndarray::{Array2, s};
 use rayon::prelude::*;
 use std::ops::RangeInclusive;
@@ -35,9 +35,6 @@ pub(super) struct Size {
     /// Share of the pixels that is not held out.
     pub(super) fitted: f64,
 }
-
-/// Number of object pixels that become one unknown where only tails are seen.
-const MERGED: usize = 16;
 
 /// Sensor pixels that see few object pixels and nothing else, [sensor rows, sensor cols]: of several places those with
 /// most light (`light`, of the same shape) that no specimen explains. None: at every place specimens would explain
@@ -95,7 +92,7 @@ fn squares(
     let tail = (footprint.side / 2).saturating_sub(CORE) as isize;
     let unknowns = |half: isize| {
         let own = count(&painted(half - tail));
-        own + (count(&painted(half)) - own).div_ceil(MERGED)
+        own + (count(&painted(half)) - own).div_ceil(MERGED * MERGED)
     };
     let fits = |half: isize| count(&painted(half)) <= most.pixels && unknowns(half) <= most.unknowns;
     let (mut largest, mut too_large) = (tail, object[0].max(object[1]) as isize);

@@ -8,7 +8,7 @@ use crate::data::{Frame, Observations, Shown};
 use crate::evidence::Scores;
 use crate::fit::derivative::Expansion;
 use crate::fit::projection::{Footprint, Projector};
-use crate::fit::{Column, Design, Errors, Model, Predicted, Scope, Term, nuisances, refit};
+use crate::fit::{Column, Design, Errors, Fitted, Model, Predicted, Scope, Term, nuisances, refit};
 use ndarray::Array2;
 use ommatidia_model::instrument::Instrument;
 use ommatidia_model::testing::{instrument, smooth};
@@ -282,39 +282,38 @@ fn a_change_of_the_specimen_is_not_testable_and_a_lens_is() {
     assert!(!of("excitation_profile") && of("lens_gain"));
 }
 
+/// Fits without and with the gains of the lenses, and the gain of the first lens over that of the second.
+fn fitted_gain(instrument: &Instrument, seen: &Observations) -> ([Fitted; 2], f64) {
+    let model = Model::new(instrument, seen).unwrap();
+    let before = refit(&model, model.state(instrument).unwrap()).unwrap();
+    let mut state = before.state.clone();
+    state.terms.push(term("lens_gain", &[], 2));
+    let after = refit(&model, state).unwrap();
+    let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
+    ([before, after], (1.0 + a) / (1.0 + b))
+}
+
 #[test]
 fn the_gain_of_a_lens_is_found_in_frames_of_the_unknown() {
     let instrument = instrument(OBJECT, SENSOR, 9, 3);
-    let gain = term("lens_gain", &[("change_0", 0.1)], 2);
-    let seen = unknown(&instrument, std::slice::from_ref(&gain), true);
-    let model = Model::new(&instrument, &seen).unwrap();
-    let before = refit(&model, model.state(&instrument).unwrap()).unwrap();
-    let mut state = before.state.clone();
-    state.terms.push(gain.switched_off(2));
-    let after = refit(&model, state).unwrap();
-    let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
-    assert!(((1.0 + a) / (1.0 + b) - 1.1).abs() < 0.02, "{a} {b}");
+    let seen = unknown(&instrument, &[term("lens_gain", &[("change_0", 0.1)], 2)], true);
+    let ([before, after], ratio) = fitted_gain(&instrument, &seen);
+    assert!((ratio - 1.1).abs() < 0.02, "{ratio}");
     assert!(before.held_out.deviance - after.held_out.deviance > 10.0);
 }
 
 #[test]
 fn the_gain_of_a_lens_is_found_in_a_region() {
     let instrument = instrument(OBJECT, SENSOR, 9, 3);
-    let gain = term("lens_gain", &[("change_0", 0.2)], 2);
-    let mut seen = unknown(&instrument, std::slice::from_ref(&gain), true);
+    let mut seen = unknown(&instrument, &[term("lens_gain", &[("change_0", 0.2)], 2)], true);
     let region = region_of(&instrument);
     seen.use_pixels(|r, c| region[[r, c]], 4);
     // Outside of the region frames may hold anything.
     for f in &mut seen.frames {
         f.measured.indexed_iter_mut().filter(|(at, _)| !region[*at]).for_each(|(_, v)| *v = 900.0);
     }
-    let model = Model::new(&instrument, &seen).unwrap();
-    let before = refit(&model, model.state(&instrument).unwrap()).unwrap();
-    let mut state = before.state.clone();
-    state.terms.push(gain.switched_off(2));
-    let after = refit(&model, state).unwrap();
-    let [a, b] = [after.state.terms[0].params[0], after.state.terms[0].params[1]];
-    assert!(((1.0 + a) / (1.0 + b) - 1.2).abs() < 0.04, "{a} {b}");
+    let ([_, after], ratio) = fitted_gain(&instrument, &seen);
+    assert!((ratio - 1.2).abs() < 0.04, "{ratio}");
     let left = &after.predicted[0].residual_dn;
     assert!(left.indexed_iter().all(|(at, v)| region[at] || *v == 0.0));
 }
