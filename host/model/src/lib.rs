@@ -10,6 +10,7 @@
 //! | [`check`] | looks at a session before it is calibrated |
 //! | [`dataset`] | instrument -> training pairs on disk |
 //! | [`metrics`] | figures of merit: PSNR, SSIM, NRMSE, PCC, chi2 |
+//! | [`richardson_lucy`] | frame -> object by the optics alone: the iterations |
 //! | [`slopes`] | a plane over a frame: level and slopes of a background |
 //! | [`testing`] | synthetic instruments and sessions for the tests of all packages |
 
@@ -21,5 +22,6 @@ pub mod forward;
 pub mod instrument;
 pub mod metrics;
 pub mod psf;
+pub mod richardson_lucy;
 pub mod slopes;
 pub mod testing;

@@ -6,7 +6,6 @@
 //! | [`methods`] | from a frame to an object: networks, network files, Wiener, Richardson-Lucy, ADMM, central lens |
 //! | [`quantize`] | checkpoint -> network file in half precision, with its memory plan |
 //! | [`network_file`] | network files on the host |
-//! | `richardson_lucy` | the iterations, for a method of their own and for networks that begin with an estimate |
 //! | [`uncertainty`] | intervals for each pixel of a reconstruction, calibrated and checked |
 //! | [`watch`] | maps with which a device notices that its optics have moved |
 //! | [`evaluate`] | methods side by side; spectra by radius, resolution by position, receptive fields |
@@ -15,7 +14,6 @@ pub mod evaluate;
 pub mod methods;
 pub mod network_file;
 pub mod quantize;
-mod richardson_lucy;
 pub mod train;
 pub mod uncertainty;
 pub mod watch;

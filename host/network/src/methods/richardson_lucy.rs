@@ -1,14 +1,14 @@
 //! Richardson-Lucy deconvolution with the whole spatially varying model.
 //!
-//! The iterations ([`crate::richardson_lucy`]) are stopped early, which regularises them. The method uses every PSF
+//! The iterations ([`ommatidia_model::richardson_lucy`]) are stopped early, which regularises them. The method uses every PSF
 //! that the networks were trained with, and needs many passes over the model for each frame.
 
 use super::frame::frame_input;
 use super::{MethodError, Reconstruct};
-use crate::richardson_lucy::RichardsonLucy as Iterations;
 use ndarray::{Array2, ArrayView2};
 use ommatidia_model::forward::Forward;
 use ommatidia_model::instrument::Instrument;
+use ommatidia_model::richardson_lucy::RichardsonLucy as Iterations;
 use ommatidia_physics::sensor::FrameInput;
 use serde::{Deserialize, Serialize};
 

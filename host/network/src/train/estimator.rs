@@ -1,8 +1,8 @@
 //! A first estimate of the object, for networks that begin with one.
 
 use super::{NetworkConfig, Predictor};
-use crate::richardson_lucy::RichardsonLucy;
 use ndarray::ArrayView2;
+use ommatidia_model::richardson_lucy::RichardsonLucy;
 use ommatidia_physics::noise::NoiseModel;
 use std::sync::Arc;
 

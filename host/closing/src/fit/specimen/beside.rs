@@ -1,48 +1,42 @@
 //! A rough estimate of what objects hold outside of a region.
 
-use super::estimate::LEAST;
 use crate::fit::model::Model;
 use ndarray::{Array2, Zip};
-use ommatidia_model::psf::OperatorError;
+use ommatidia_model::forward::ForwardError;
+use ommatidia_model::richardson_lucy::RichardsonLucy;
 use ommatidia_physics::effects::Chain;
 use rayon::prelude::*;
 
-/// Iterations of Richardson-Lucy: nothing but light from afar depends on the estimate.
+/// Accelerated iterations of Richardson-Lucy.
 const ITERATIONS: usize = 10;
+/// Response below which a pixel is dead.
+const DEAD: f32 = 0.1;
 
-/// What objects hold where they are not unknown, [object rows, object cols]: dark if all of it is unknown, else the
-/// specimens by the calibrated optics alone. It shapes what falls on a region from afar, such as the light of a halo.
-pub(super) fn beside(model: &Model<'_>, frames: &[usize], light_e: &[Array2<f32>], floor_e2: f32) -> Vec<Array2<f32>> {
-    let operator = model.forward.operator();
-    let [rows, cols] = operator.object_shape();
+/// What objects hold outside of a region, [object rows, object cols]: the specimens by the calibrated optics alone, or
+/// nothing where all of the sensor is used. It shapes what falls on the region by the tails of PSFs and from afar, such
+/// as the light of a halo. `light_e` are the frames without their dark signal, electrons, [sensor rows, sensor cols].
+///
+/// # Errors
+/// The frames do not have the shape of the instrument's.
+pub(super) fn beside(
+    model: &Model<'_>,
+    frames: &[usize],
+    light_e: &[Array2<f32>],
+) -> Result<Vec<Array2<f32>>, ForwardError> {
+    let (operator, noise) = (model.forward.operator(), model.forward.noise());
     if !model.seen.is_part() {
-        return vec![Array2::zeros((rows, cols)); frames.len()];
+        return Ok(vec![Array2::zeros(operator.object_shape()); frames.len()]);
     }
-    let (noise, cx) = (model.forward.noise(), model.forward.context());
-    let response =
-        model.forward.on_sensor(Array2::ones((model.seen.sensor[0], model.seen.sensor[1])), &Chain::default(), &cx);
+    let even = Array2::ones(operator.sensor_shape());
+    let response = model.forward.on_sensor(even, &Chain::default(), &model.forward.context());
+    let solver = RichardsonLucy::new(operator.clone(), noise)?;
     let of_frame = |(k, light_e): (&usize, &Array2<f32>)| {
         let cx = model.context(*k, None);
-        let electrons = cx.exposure_ms / model.exposure_ms * cx.illumination / noise.gain_dn_per_e;
-        let sensed = &response * electrons as f32;
-        let used =
-            model.seen.frames[*k].measured.mapv(|dn| f32::from(u8::from(f64::from(dn) < 0.99 * noise.saturation_dn)));
-        let back = |frame: Array2<f32>| operator.adjoint((frame * &sensed).view());
-        let mut object = Array2::ones((rows, cols));
-        let seen = back(used.clone())?;
-        let least = seen.iter().fold(0.0f32, |m, v| m.max(*v)) * LEAST;
-        for _ in 0..ITERATIONS {
-            let mut ratio = operator.apply(object.view())? * &sensed;
-            Zip::from(&mut ratio).and(light_e).and(&used).for_each(|r, y, u| {
-                *r = u * (y + floor_e2).max(0.0) / (r.max(0.0) + floor_e2);
-            });
-            Zip::from(&mut object).and(&back(ratio)?).and(&seen).for_each(|x, b, s| {
-                *x = if *s > least { *x * b.max(0.0) / s } else { 0.0 };
-            });
-        }
-        Ok::<_, OperatorError>(object)
+        let electrons = (cx.exposure_ms / model.exposure_ms * cx.illumination / noise.gain_dn_per_e) as f32;
+        // DN at the exposure of the calibration, as the operator gives it.
+        let light = |e: &f32, response: &f32| if *response > DEAD { e / (response * electrons) } else { 0.0 };
+        let light_dn = Zip::from(light_e).and(&response).map_collect(light);
+        solver.accelerated(light_dn.view(), ITERATIONS).map_err(ForwardError::from)
     };
-    // The operator fits the frames: the model was planned for them.
-    let found = frames.par_iter().zip(light_e).map(of_frame);
-    found.map(|object| object.unwrap_or_else(|_| Array2::zeros((rows, cols)))).collect()
+    frames.par_iter().zip(light_e).map(of_frame).collect()
 }

@@ -15,7 +15,7 @@ pub(super) const BEFORE_STRAY: usize = 10;
 pub(super) const AFTER_STRAY: usize = 5;
 
 /// Object pixels with less light on the sensor, relative to the brightest, are not estimated.
-pub(super) const LEAST: f32 = 1e-3;
+const LEAST: f32 = 1e-3;
 
 /// An estimated specimen.
 pub(super) struct Estimate {
@@ -41,7 +41,7 @@ pub(super) struct Estimation<'a> {
 }
 
 impl<'a> Estimation<'a> {
-    /// Begins with even specimens of frames whose objects hold `beside` where they are known.
+    /// Begins with even specimens of frames whose objects hold `beside` outside of the pixels that are estimated.
     pub(super) fn new(views: &'a Views, weight: &'a [f32], floor_e2: f32, beside: &'a [Array2<f32>]) -> Self {
         let mut it = Self { views, weight, floor_e2, objects: Vec::new(), beside, done: 0 };
         it.begin_again();

@@ -66,7 +66,13 @@ pub(in crate::fit) fn specimens(model: &Model<'_>, state: &State) -> Result<Opti
     // What falls outside the windows, of ghosts and halos for example, and what a bent response adds or takes, is no
     // light that a specimen has to explain. Each round multiplies what is left of it by about its share of all light.
     // Estimates that are not sharp yet show it well enough.
-    let beside = model.beside.get_or_init(|| beside(model, &frames, &light, floor_e2));
+    let beside = match model.beside.get() {
+        Some(found) => found,
+        None => {
+            let found = beside(model, &frames, &light)?;
+            model.beside.get_or_init(|| found)
+        }
+    };
     let mut estimation = Estimation::new(projector.views(), projector.weight(), floor_e2, beside);
     estimation.go_on(&light, BEFORE_STRAY);
     let mut explained = Vec::new();

@@ -5,8 +5,8 @@
 //! (1974)). Read noise enters as a constant background `b` on both sides: it gives a Poisson variable the variance of
 //! the mixed Poisson and Gaussian one (D. L. Snyder et al., J. Opt. Soc. Am. A 10, 1014 (1993)).
 
+use crate::psf::{LowRankOperator, OperatorError};
 use ndarray::{Array2, ArrayView2, Zip};
-use ommatidia_model::psf::{LowRankOperator, OperatorError};
 use ommatidia_physics::noise::NoiseModel;
 use std::sync::Arc;
 
@@ -105,11 +105,11 @@ fn dot(a: &Array2<f32>, b: &Array2<f32>) -> f64 {
 mod tests {
     #![allow(clippy::unwrap_used)]
     use super::*;
-    use ommatidia_model::forward::Forward;
+    use crate::forward::Forward;
 
     /// Each focus is blurred by a kernel whose transfer function is at least 0.6, so no frequency is lost.
     fn blurred() -> RichardsonLucy {
-        let mut instrument = ommatidia_model::testing::square_array(3, [60, 60], [20, 20]);
+        let mut instrument = crate::testing::square_array(3, [60, 60], [20, 20]);
         for lens in 0..9 {
             for (i, v) in [0.05f32, 0.1, 0.05, 0.1, 0.8, 0.1, 0.05, 0.1, 0.05].into_iter().enumerate() {
                 instrument.psf.basis[[lens, 0, i / 3, i % 3]] = v;
